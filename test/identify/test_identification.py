@@ -1,5 +1,5 @@
-"""Which experiments a set of records allows, what is said about the others, how results join what
-was known, and whether the model fits: before its numbers, wherever these are shown."""
+"""Which experiments a set of records allows, reasons for missing ones, how results are combined
+with stated values, and the verdict on the fit, which is shown before the numbers everywhere."""
 
 import ast
 import json
@@ -55,7 +55,7 @@ def test_result_file_has_the_form_of_the_contract():
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistance():
+def test_missing_current_is_reported_and_the_rest_identified_with_the_given_resistance():
     record = staircase()
     del record.signals["wire.current"]
     found = identify([record], DEFAULTS.replace({R: 2.75}, {R: 0.03}))
@@ -68,10 +68,10 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
 
 
 @pytest.mark.compiled
-def test_a_default_that_nobody_measured_and_samples_left_out_are_warned_of():
+def test_a_default_in_use_and_samples_left_out_are_warned_about():
     found = identify([ramp()], WEIGHED)
     assert any(R in w and "not measured on this wire" in w for w in found.warnings)
-    # A ramp is not meant for a staircase's experiment: that it gives none is no warning.
+    # A ramp is not made for E1: that E1 is missing is no warning.
     assert any("not identified" in note.text for note in found.notes if note.subject == "E1")
     assert not any("E1: not identified" in warning for warning in found.warnings)
     record = staircase()
@@ -81,7 +81,7 @@ def test_a_default_that_nobody_measured_and_samples_left_out_are_warned_of():
     assert abs(found.estimates[H].value - 410.0) < 2.0 * found.estimates[H].std
 
 
-def test_record_made_elsewhere_gives_its_truth_within_two_stated_errors(shared_data):
+def test_a_record_of_another_program_gives_true_numbers_within_two_stated_errors(shared_data):
     folder = shared_data / "foreign" / "wire"
     truth = json.loads((folder / "truth.json").read_text())
     records = [open_record(folder / "staircase"), open_record(folder / "ramp")]
@@ -98,17 +98,17 @@ def test_record_made_elsewhere_gives_its_truth_within_two_stated_errors(shared_d
 BARE = Record(Path("empty"), 0, {})
 
 
-@pytest.mark.parametrize(("records", "said", "experiments"), [
+@pytest.mark.parametrize(("records", "message", "experiments"), [
     ([steady_record(3.0)], "1 plateau at 1 voltage, 0 ramps", None),
     ([steady_record(3.0, 5)], "5 samples", None),
     ([steady_record(np.nan)], "nothing to identify", None),
     ([BARE], "signals none", None), ([], "no record", None),
     ([BARE], "'E4', expected one of E0", ["E4"]),
 ])  # fmt: skip
-def test_what_cannot_be_identified_is_one_line_that_says_why(records, said, experiments):
+def test_records_that_give_nothing_are_refused_in_one_line_with_reason(records, message, experiments):
     with pytest.raises(InputError) as caught:
         identify(records, DEFAULTS, experiments)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 # --- Whether the model fits.
@@ -121,11 +121,11 @@ def quick():
 @pytest.mark.parametrize(
     ("size", "verdict", "status"), [(0.0, "ok", 0), (3.0, "imperfect", 0), (60.0, "misfit", 3)]
 )
-def test_the_verdict_on_the_fit_comes_first_and_the_file_is_written_in_any_case(
+def test_the_verdict_on_the_fit_comes_first_and_the_file_is_always_written(
     quick, size, verdict, status, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    # A temperature that rises by more than a wire of one h and R would: `size` at the top.
+    # A temperature that misses the model with constant h and R, by `size` K at the top.
     bent = changed(quick, temperature=lambda x: x - size * (x - x.min()) ** 2 / np.ptp(x) ** 2)
     sma_bench.write_record("bag", bent.signals.values())
     sma_bench.write_parameters("my lab.yaml", sma_bench.load_parameters({R: 2.7}))
@@ -144,7 +144,7 @@ def test_the_verdict_on_the_fit_comes_first_and_the_file_is_written_in_any_case(
     advice = " ".join(printed[printed.index("\nnext ") :].split("\n\n")[0].split())
     assert ("my lab.yaml" in advice) == (verdict == "misfit")
     assert ("found.yaml" in advice) == (verdict != "misfit") and "--out" not in advice
-    # The batch says and writes the same.
+    # The batch prints and writes the same.
     monkeypatch.setattr(batch, "do_tasks", lambda tasks, *_: (
         (k, run_task(task)) for k, task in enumerate(tasks)
     ))  # fmt: skip
@@ -158,8 +158,8 @@ def test_the_verdict_on_the_fit_comes_first_and_the_file_is_written_in_any_case(
 
 
 @pytest.mark.compiled
-def test_a_lag_of_the_thermometer_has_a_line_of_its_own_where_the_ramps_tell_it():
-    # Two time constants in a row: what is stated of c_p says which is the wire's.
+def test_a_lag_of_the_thermometer_is_listed_where_the_ramps_determine_it():
+    # Two time constants in series: the stated c_p decides which one is the wire's.
     stated = {CP: 350.0, H: 410.0, R: 2.75}
     found = sma_bench.identify(ramp(lag=0.3), stated)
     lag = found.estimates[LAG]
@@ -172,7 +172,7 @@ def test_a_lag_of_the_thermometer_has_a_line_of_its_own_where_the_ramps_tell_it(
 
 
 @pytest.mark.compiled
-def test_numbers_are_compared_with_what_the_file_states_and_with_nothing_else(quick):
+def test_numbers_are_compared_with_stated_values_only(quick):
     stated = {R: 4.9, f"uncertainty.{R}": 0.1}
     found = sma_bench.identify(quick, stated)
     entries = found.to_json()["parameters"]
@@ -183,7 +183,7 @@ def test_numbers_are_compared_with_what_the_file_states_and_with_nothing_else(qu
     assert not [line for line in str(right).splitlines() if line.startswith("off ")]
 
 
-def test_of_a_result_a_prompt_shows_a_line_and_a_pipe_what_its_reader_takes(
+def test_a_prompt_shows_one_line_of_a_result_and_a_closed_pipe_is_no_error(
     quick, planted_diagnosis, capsys
 ):
     found = sma_bench.identify(quick)
@@ -199,7 +199,7 @@ def test_of_a_result_a_prompt_shows_a_line_and_a_pipe_what_its_reader_takes(
     assert ended.returncode == 0 and ended.stderr == ""
 
 
-# --- What was known next to what was measured: nothing ends less sure than it was.
+# --- Stated values combined with measured ones: no error gets larger than the stated one.
 START, FINISH, M_S, M_F = TRANSITIONS.values()
 JOINT = np.sqrt(1.0 / (1.0 / 16.0 + 1.0 / 64.0))
 
@@ -211,7 +211,7 @@ def run_with(parameters, **estimates):
 
 
 def weighed(name, estimate, stated_std=None, **given):
-    """What is left of an estimate next to what a file states, and the run's notes."""
+    """An estimate combined with what a file states, and the run's notes."""
     stated = {} if stated_std is None else {name: stated_std}
     run = run_with(Parameters(given).replace({}, stated), **{name: estimate})
     run.weigh_priors(None)
@@ -219,12 +219,12 @@ def weighed(name, estimate, stated_std=None, **given):
 
 
 @pytest.mark.parametrize(("measured", "value", "std", "informed", "contradicted"), [
-    ((130.0, 2.0, 1.0), 130.0, 2.0, 0.75, False),  # surer: it counts alone
+    ((130.0, 2.0, 1.0), 130.0, 2.0, 0.75, False),  # more accurate: it counts alone
     ((105.0, 8.0, 0.0), 101.0, JOINT, 0.2, False),
     ((150.0, 8.0, 0.0), 110.0, JOINT, 0.2, True),
     ((2e305, 1e305, 1e304), 100.0, 4.0, 0.0, False),
 ])  # fmt: skip
-def test_a_measurement_is_joined_with_what_was_known_better(
+def test_a_measurement_is_combined_with_a_more_accurate_stated_value(
     measured, value, std, informed, contradicted
 ):
     known, error, systematic = measured
@@ -238,11 +238,11 @@ def test_a_default_that_nobody_stated_is_never_averaged_with_a_measurement():
     assert (found.value, found.std) == (356.0, 6.0)
     assert any("not the paper's alloy" in note.text for note in notes)
     assert weighed(START, (356.0, 6.0, "K", "", 3), **{START: 331.0})[0].value < 335.0
-    # One that says less than is known of every wire stands, and is warned of.
+    # A number with an error above the spread of all wires is kept, with a warning.
     found, notes = weighed(START, (356.0, 40.0, "K", "", 3))
     assert (found.value, found.std) == (356.0, 40.0)
     assert notes[0].subject == START and notes[0].severity == "warning"
-    # A heat loss is known only with its area.
+    # A heat transfer coefficient is known only with its area.
     for stated, noted in (({}, True), ({AREA: 4e-4}, False)):
         found, notes = weighed(H, (80.0, 2.0, "W/(m2 K)", "", 9), **stated)
         assert found.value == 80.0
@@ -252,8 +252,8 @@ def test_a_default_that_nobody_stated_is_never_averaged_with_a_measurement():
 @pytest.mark.parametrize(("area_std", "own", "sharper"), [
     (120e-6, 0.002, False), (1e-6, 0.06, True),
 ])  # fmt: skip
-def test_factors_of_a_product_go_with_each_other(area_std, own, sharper):
-    """E2 has h with the area that the file does not state, the whole model another area."""
+def test_factors_of_a_product_stay_consistent(area_std, own, sharper):
+    """E2 gives h for the default area, the whole model another area."""
     area = Estimate(150e-6, area_std, "m2")
     both = {H: Estimate(94.0, 94.0 * np.hypot(own, area.relative_std), "W/(m2 K)"), AREA: area}
     run = run_with(Parameters({}), **{H: (36.0, 1.0, "W/(m2 K)", "E2", 9)})
@@ -275,13 +275,13 @@ def test_transition_temperatures_keep_their_order():
     found = {n: e.value for n, e in run.estimates.items()}
     assert found[START] < found[FINISH] and found[M_F] < found[M_S]
     assert found[M_S] < found[FINISH] and found[M_F] < found[START]
-    # The surer number moves less.
+    # The more accurate number moves less.
     assert 350.0 < found[START] < 350.3 and 363.0 < found[FINISH] < 363.8
     assert dict(run.improved()) | found == dict(run.improved())
 
 
-def test_a_number_out_of_its_range_is_named_and_ends_nothing_else():
-    # Of two ends of a range one comes after the other.
+def test_a_number_out_of_its_range_is_named_and_the_others_are_kept():
+    # A_s and A_f must be updated in the right order.
     run = run_with(Parameters.of_paper(), **{
         EXPANSION: (9e12, 1e5, "Pa/K", "", 3), R: (2.5, 0.01, "ohm", "", 3),
         START: (370.0, 1.0, "K", "", 3), FINISH: (390.0, 1.0, "K", "", 3)})  # fmt: skip
@@ -291,7 +291,7 @@ def test_a_number_out_of_its_range_is_named_and_ends_nothing_else():
     assert note.severity == "warning" and note.subject == EXPANSION
 
 
-# --- The user's data outrank a default that nobody stated, whatever the alloy and the noise.
+# --- Measured data override a default that was not stated, for any alloy and noise.
 TRUTH = {"A_s": 356.0, "A_f": 372.0, "M_s": 352.0, "M_f": 336.0}
 OTHER = Alloy(*TRUTH.values(), 7e6, 7e6, 60e9, 28e9, 0.035, -0.2e6)
 
@@ -301,7 +301,7 @@ def four(params):
     return {n: (params[t], params.std(t)) for n, t in TRANSITIONS.items()}
 
 
-def test_a_noisy_test_of_another_alloy_gives_that_alloy_with_a_template_or_the_own_result_too(
+def test_a_noisy_test_gives_its_alloy_with_no_file_a_template_or_its_own_result(
     tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
@@ -328,18 +328,18 @@ def test_a_noisy_test_of_another_alloy_gives_that_alloy_with_a_template_or_the_o
     for name, (value, std) in four(identify([noisy], own).parameters).items():
         assert value == pytest.approx(alone[name][0], abs=0.1)
         assert std == pytest.approx(alone[name][1], rel=0.06)
-    # A diagnosis has the same priors from the template as from nothing.
+    # A diagnosis has the same priors with the template as without a file.
     paper = Parameters.of_paper()
     one, other, stated = (unknowns_of_records(p, ("temperature", "deflection"))
                           for p in (Parameters(), template, paper))
     assert one.items == other.items
-    (said,) = about_unstated(one, template)
-    assert CP in said.text and "wire.mass" in said.text and not about_unstated(stated, paper)
+    (note,) = about_unstated(one, template)
+    assert CP in note.text and "wire.mass" in note.text and not about_unstated(stated, paper)
 
 
-def test_intervals_hold_the_truth_of_drawn_alloys():
+def test_intervals_contain_the_true_numbers_of_drawn_alloys():
     """`./bench check alloys` draws more."""
-    # Those of few cycles, whose bootstrap is quick.
+    # Draws with few cycles, whose bootstrap is quick.
     rows = [row for draw in (0, 1, 3, 5) for row in examine(5, draw)]
     assert {row["method"] for row in rows} == {"E5", "E6", "E7", "E8"}
     assert coverage(rows) > 0.8
@@ -347,24 +347,24 @@ def test_intervals_hold_the_truth_of_drawn_alloys():
     assert max(abs(row["z"]) for row in rows) < 8.0
 
 
-# --- Remarks: every cause of the table is used, and the facts in its text are given.
+# --- Remarks: every cause of the table is used, with all facts that its text needs.
 ROOM = Path(remark.__code__.co_filename).parent
 TABLE = yaml.safe_load((ROOM / "remarks.yaml").read_text("utf-8"))
 
 
 def facts_of(entry):
-    """Names that the text and the numbers of an entry stand on."""
+    """Names that the text and the numbers of an entry need."""
     fields = (field for _, field, _, _ in string.Formatter().parse(entry["text"]) if field)
     names = {field.split("*")[0].split("/")[0].split(".")[0] for field in fields}
     return names | set(entry.get("numbers", ()))
 
 
 def test_every_cause_has_its_facts_and_is_used():
-    said = set()
+    used = set()
     for path in ROOM.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                said.add(node.value)
+                used.add(node.value)
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
                     and node.func.id in ("remark", "refusal", "words")):
                 continue
@@ -378,7 +378,7 @@ def test_every_cause_has_its_facts_and_is_used():
                 assert None in given or needed <= given, (path.name, cause, needed - given)
                 named = "subject" in given or "subject" in TABLE[cause] or len(node.args) > 2
                 assert named or node.func.id != "remark", (path.name, cause)
-    assert set(TABLE) <= said, set(TABLE) - said
+    assert set(TABLE) <= used, set(TABLE) - used
 
 
 def test_a_text_scales_its_facts_and_keeps_numbers_in_si_units():

@@ -34,7 +34,7 @@ STRAIN, C_A = "wire.maximum_recoverable_strain", "wire.stress_influence_austenit
 INFLUENCES = {C_A: 7.5e6, "wire.stress_influence_martensite": 6.0e6}
 PAPER = Parameters.of_paper()
 UPFR = PAPER.replace({A_S: 350.65, A_F: 361.35, M_S: 340.0, M_F: 325.0, **INFLUENCES})
-TANGENT_SHARE = 0.5 - 1.0 / np.pi  # of the range, by which a cosine's tangents lie further in
+TANGENT_SHARE = 0.5 - 1.0 / np.pi  # of the range, by which tangents cross inside a cosine's ends
 
 
 def says(experiment, words):
@@ -54,7 +54,7 @@ def test_upfr_repeats_give_mean_and_deviation_of_the_paper():
     assert says(experiment, "referred to zero stress by -1.73 K")
 
 
-def test_estimates_are_the_cosines_and_tangents_stand_under_their_own_names():
+def test_estimates_come_from_cosines_and_tangents_are_listed_separately():
     experiment = identify_isobaric([isobaric(100e6, UPFR)], UPFR)
     tangent, cosine, at_zero = (experiment.details[f"A_s ({words}"].value for words in (
         "tangent) at 100 MPa", "cosine) at 100 MPa", "tangent), stress free"))
@@ -69,8 +69,8 @@ def test_estimates_are_the_cosines_and_tangents_stand_under_their_own_names():
 
 
 def test_transition_temperatures_of_simulated_wires_lie_within_three_std():
-    """What a simulation made of A_s ... M_f comes back: wires with narrow, wide and overlapping
-    ranges under five loads. Tangents miss every one of them by 6 standard errors or more."""
+    """A_s ... M_f of simulated wires with narrow, wide and overlapping ranges under five loads.
+    Tangents miss all of them by more than 5 standard errors."""
     wires = [(), (345.0, 352.0, 335.0, 318.0), (330.0, 365.0, 332.0, 312.0)]
     off, tangents_off = [], []
     for k, wire in enumerate(wires):
@@ -90,15 +90,15 @@ def test_transition_temperatures_of_simulated_wires_lie_within_three_std():
 
 def test_flat_strain_is_refused():
     kelvin = np.linspace(300.0, 400.0, 300)
-    strain = -1e-200 * np.tanh((kelvin - 350.0) / 4.0)  # too small for its square
+    strain = -1e-200 * np.tanh((kelvin - 350.0) / 4.0)  # too small to be squared
     cycle = Cycle(1, (Branch("heating", kelvin, strain, np.full(300, 1e7)),))
     flat = IsobaricRecord(Path("flat.txt"), "flat", 1e7, "1", (cycle,))
     with pytest.raises(InputError, match="no branch shows a transformation"):
         identify_isobaric([flat], UPFR)
 
 
-def test_nitihf_beside_what_its_authors_published():
-    """With -s the table of docs/experiments/E6.md."""
+def test_nitihf_against_published_numbers():
+    """With -s it prints the table of docs/experiments/E6.md."""
     experiment = identify_isobaric(alloy(2), PAPER)
     found = {**experiment.details, **experiment.estimates}
     print("\n| number | published | identified | apart | standard errors |")
@@ -115,7 +115,7 @@ def test_nitihf_beside_what_its_authors_published():
     assert says(experiment, "grows with stress") and says(experiment, "widens with stress")
 
 
-def test_seven_cycles_drift_are_not_called_repeats_and_fit_no_one_law():
+def test_seven_drifting_cycles_are_not_treated_as_repeats_and_fit_no_single_law():
     experiment = identify_isobaric([open_record(SEVEN_CYCLES)], Parameters.defaults())
     drift = {f.subject for f in experiment.findings if "still trains" in f.text}
     assert drift >= {"A_s", "M_s"} and experiment.estimates == {}
@@ -147,7 +147,7 @@ def draw(seed):
 
 
 @pytest.mark.slow
-def test_intervals_cover_the_truth_of_a_material_of_the_contracts_law():
+def test_intervals_cover_the_true_numbers_of_a_material_of_the_contracts_law():
     scores = []
     for seed in range(4):
         truth = draw(seed)
@@ -160,7 +160,7 @@ def test_intervals_cover_the_truth_of_a_material_of_the_contracts_law():
     assert abs(np.mean(scores)) < 0.4
 
 
-def test_growing_strain_is_fitted_by_the_extended_law_and_said():
+def test_strain_that_grows_with_stress_is_fitted_by_the_extended_law_and_reported():
     truth = draw(5)
     experiment = fit_constitutive(loops(truth, growth=1.2e-8), truth)
     assert all("extended law" in e.method for e in experiment.estimates.values())
@@ -173,7 +173,7 @@ def test_growing_strain_is_fitted_by_the_extended_law_and_said():
     assert estimate.value == pytest.approx(eps_l, abs=4.0 * estimate.std)
 
 
-def test_one_stress_takes_the_influences_as_given_and_one_direction_tells_its_own():
+def test_one_stress_needs_given_influences_and_one_direction_gives_its_own_numbers():
     truth = draw(7)
     experiment = fit_constitutive(loops(truth, 150e6, seed=1), truth)
     start = experiment.estimates[A_S]
@@ -187,14 +187,14 @@ def test_one_stress_takes_the_influences_as_given_and_one_direction_tells_its_ow
     assert not found.keys() & {M_S, M_F}
 
 
-def test_a_measured_alloy_is_met_within_five_percent_at_every_stress():
+def test_a_measured_alloy_is_fitted_within_five_percent_at_every_stress():
     tests = alloy(2)
     experiment = fit_constitutive(tests, Parameters.defaults())
     contract, extended = (f for f in experiment.findings if f.subject == "fit error")
     assert len(extended.numbers) == len(tests)
     assert max(extended.numbers.values()) < 0.05 and max(contract.numbers.values()) > 0.10
     assert experiment.estimates[C_A].value == pytest.approx(11.4e6, rel=0.2)
-    # Known of NiTiHf: some 10e-6 1/K in both phases.
+    # Known for NiTiHf: about 10e-6 1/K in both phases.
     assert experiment.details["extended: alpha_A"].value == pytest.approx(10.8, abs=1.5)
     assert experiment.details["extended: alpha_M"].value == pytest.approx(9.4, abs=1.5)
 
@@ -242,19 +242,19 @@ def test_moduli_of_table_three_come_back_with_repeats():
     assert says(identify_tensile(records[2:4], OWN, swapped), "phases of the tests swapped")
     soft = replace(records[3], stress=records[3].stress / 100.0)
     assert says(identify_tensile([soft], OWN), "crosshead travel")
-    # The error of repeats is that of the mean of so few specimens: 1.645 of it are as far as
-    # Student's t of two degrees of freedom goes in 90 %.
+    # The error is enlarged for three specimens: 1.645 times it is the 90 % interval of Student's t
+    # with two degrees of freedom.
     differing = [martensite(k, m, m) for k, m in enumerate((21.6e9, 22.8e9, 24.0e9))]
     estimate = identify_tensile(differing, OWN).estimates[MODULI[0]]
     assert estimate.statistical == pytest.approx(1.2e9 / 3**0.5 * 2.920 / 1.645, rel=0.05)
 
 
-def test_a_phase_is_that_asked_for_or_of_the_file_or_of_this_wires_temperatures():
+def test_a_phase_is_asked_for_or_in_the_file_or_follows_from_the_wires_temperatures():
     record = martensite()
     in_file = replace(record, phase="austenite", temperature=None)
     assert set(identify_tensile([in_file], BARE).estimates) == {MODULI[1]}
-    told = identify_tensile([in_file], BARE, {"cold_1.csv": "martensite"})
-    assert set(told.estimates) == {MODULI[0]}
+    asked = identify_tensile([in_file], BARE, {"cold_1.csv": "martensite"})
+    assert set(asked.estimates) == {MODULI[0]}
     patterns = {"c*": "martensite", "hot_?.csv": "austenite"}
     found = identify_tensile([record, austenite()], BARE, patterns).estimates
     assert found[MODULI[1]].value == pytest.approx(E_A, rel=0.01)
@@ -265,14 +265,14 @@ def test_a_phase_is_that_asked_for_or_of_the_file_or_of_this_wires_temperatures(
     (BARE, 293.15, {}, r"M_f and A_f of this wire are not known.*--phase cold_1"),
     (BARE, 293.15, {"cold_1.csv": "bainite"}, "'bainite', expected martensite or austenite"),
     (BARE, 293.15, {"warm*": "martensite"}, r"phase of warm\*: no such tensile test among cold_1"),
-    (BARE, 293.15, {"cold*": "martensite", "*.csv": "austenite"}, "martensite and to be austenite"),
+    (BARE, 293.15, {"cold*": "martensite", "*.csv": "austenite"}, "martensite and austenite,"),
 ])  # fmt: skip
-def test_phase_that_cannot_be_or_is_not_known_is_refused(known, kelvin, phases, message):
+def test_an_impossible_or_unknown_phase_is_refused(known, kelvin, phases, message):
     with pytest.raises(InputError, match=message):
         identify_tensile([replace(martensite(), temperature=kelvin)], known, phases)
 
 
-def test_a_test_that_ends_on_the_plateau_says_so_and_is_not_pooled_with_whole_ones():
+def test_a_test_that_ends_on_the_plateau_is_reported_and_not_pooled_with_whole_ones():
     whole, record = martensite(1, initial=35e9), martensite(2, initial=35e9)
     cut = record.strain < 0.03
     short = replace(record, strain=record.strain[cut], stress=record.stress[cut])
@@ -282,7 +282,7 @@ def test_a_test_that_ends_on_the_plateau_says_so_and_is_not_pooled_with_whole_on
     assert says(both, "left out, as other tests show")
 
 
-def test_elongation_and_force_are_divided_by_what_the_wire_measures():
+def test_elongation_and_force_are_divided_by_length_and_section():
     whole, known = martensite(), {"wire.length": 0.1, "wire.diameter": 0.3e-3}
     newton = whole.stress * np.pi / 4.0 * 0.3e-3**2
     record = replace(whole, strain=0.1 * whole.strain, stress=newton, is_extension=True,
@@ -324,7 +324,7 @@ def crossing(flank, base):
     return (zero - level) / (slope - rate)
 
 
-def test_a_powders_tangents_are_those_drawn_by_hand_with_peaks_and_latent_heat_by_cycle(
+def test_tangents_of_a_powder_agree_with_those_drawn_by_hand_and_heats_with_each_other(
     measured_data
 ):
     powder = measured_data / "sma_react" / "input" / "preprocessor_samples" / "DSC.txt"
@@ -335,12 +335,12 @@ def test_a_powders_tangents_are_those_drawn_by_hand_with_peaks_and_latent_heat_b
     for number, peak in {2: 33.5, 4: 64.4, 6: 34.2, 8: 63.3}.items():
         label = f"segment_{number}"
         assert found.details[f"{label}/peak"].value - KELVIN == pytest.approx(peak, abs=0.3)
-        # What goes in on heating comes out on cooling: 34 to 37 kJ/kg in all four scans.
+        # The heat absorbed on heating is released on cooling: 34 to 37 kJ/kg in all four scans.
         heat = found.details[f"{label}/latent_heat"]
         assert abs(heat.value - 35.4e3) < 2.0 * heat.std
     assert "5 K/min, cycle 2" in found.estimates[A_S].method
     assert "10 K/min, cycle 1" in found.details["segment_4/start"].method
-    # Rates and cycles that changed together are said and pass for no law of the rate.
+    # Rates and cycles that changed together are reported, and not extrapolated over the rate.
     assert says(found, "changed together")
     assert not any("zero rate" in name for name in found.details)
     assert found.details["cycle 1, 10 K/min: A_s"].value == found.details["segment_4/start"].value
@@ -397,7 +397,7 @@ def test_scan_without_a_peak_is_left_out_and_a_run_of_them_is_an_error():
     assert any("segment 1" in f.text and "left out" in f.text for f in found.findings)
 
 
-def test_table_two_comes_back_with_its_prestrain():
+def test_table_two_and_its_prestrain_are_recovered():
     experiment = identify_transition_temperatures([run((5.0, TABLE_II[1]), (5.0, TABLE_II[2]))])
     lag = 8.0 * 5.0 / 60.0 * np.array([1.0, 1.0, -1.0, -1.0])
     for cycle, row in TABLE_II.items():

@@ -1,5 +1,5 @@
 """Wires that pull a weight, a spring or each other, identified from motion and voltage alone: their
-numbers, their law, and predictions with the limits that they hold."""
+parameters, their law, and predictions with limits."""
 
 import json
 from dataclasses import replace
@@ -42,7 +42,7 @@ def pair(truth):
 
 
 def drawn(believed, seed=4):
-    """A bench as probable as any other under what is believed."""
+    """A bench drawn from the prior."""
     random = np.random.default_rng(seed)
     names = [n for n in MOVED if believed[n] or not n.startswith("load")]
     off = {n: believed[n] + believed.std(n) * random.standard_normal() for n in names}
@@ -50,7 +50,7 @@ def drawn(believed, seed=4):
 
 
 def missed(bench, exact_bench):
-    """Rms by which a bench misses another's motion on a sine, over its stroke."""
+    """Rms difference of the motion of two benches on a sine, over the stroke."""
     made = [simulate_finely(b, *strokes(b, "sine", 35.0, 110.0)) for b in (bench, exact_bench)]
     moved, exact = (next(s.values for s in signals_of(one)
                          if s.name.endswith(("elongation", "deflection"))) for one in made)
@@ -75,7 +75,7 @@ def test_motion_and_voltage_of_two_runs_predict_a_third():  # test_whole_model.p
 
 
 @pytest.mark.slow
-def test_friction_of_a_spring_that_is_not_linear_is_told_from_the_wires_own_hysteresis():
+def test_friction_of_a_nonlinear_spring_is_separated_from_the_wires_own_hysteresis():
     known = {"load.friction": 0.3, "load.stiffening": 40.0, "load.stiffness": 40.0}
     believed = moving_lab("spring", stds=known)
     truth = drawn(believed).replace({"load.friction": 0.4, "load.stiffening": 50.0})
@@ -87,7 +87,7 @@ def test_friction_of_a_spring_that_is_not_linear_is_told_from_the_wires_own_hyst
     assert missed(found.parameters, truth) < 0.003
 
 
-def test_force_under_an_imposed_motion_tells_the_wire_and_predicts_another_motion():
+def test_force_under_an_imposed_motion_identifies_the_wire_and_predicts_another_motion():
     believed = moving_lab("displacement")
     truth, keep = drawn(believed), ("voltage", "elongation", "force")
     seen, other, unseen = (
@@ -113,7 +113,7 @@ def test_force_under_an_imposed_motion_tells_the_wire_and_predicts_another_motio
 @pytest.mark.parametrize(("drive", "keep"), [
     ("current", ("current", "elongation")), ("power", ("voltage", "current", "elongation")),
 ])  # fmt: skip
-def test_a_source_of_current_needs_no_voltmeter_and_one_of_power_tells_no_ohms(drive, keep):
+def test_a_current_source_needs_no_voltmeter_and_a_power_source_shows_no_resistance(drive, keep):
     believed = moving_lab("spring", {"bench.drive": drive})
     truth = drawn(believed, seed=6).replace(RISES)
     seen, unseen = (recorded(truth, s, 1, *keep) for s in ("triangle", "sine"))
@@ -131,22 +131,22 @@ def test_a_source_of_current_needs_no_voltmeter_and_one_of_power_tells_no_ohms(d
 
 
 @pytest.mark.slow
-def test_a_wire_of_which_next_to_nothing_is_stated_is_found_and_predicts_another_run():
-    """Its loss of heat is far from the usual: most starts show no motion at all. Its runs repeat:
-    what they share is in its own numbers, so that a file of these predicts as the fit does."""
+def test_a_wire_with_hardly_any_stated_parameters_is_identified_and_predicts_another_run():
+    """Its heat loss is far from the default: most starts show no motion at all. Its runs repeat, so
+    the identified parameters alone predict as well as the fit."""
     truth = moving_lab("spring").replace({"wire.specific_heat": 420.0})
-    said = ("wire.length", "wire.diameter", "wire.resistance", "environment.ambient_temperature")
-    said += ("load.kind", "load.stiffness", "load.preload")
-    found = identify(pair(truth), Parameters({name: truth[name] for name in said}, {}))
+    names = ("wire.length", "wire.diameter", "wire.resistance", "environment.ambient_temperature")
+    names += ("load.kind", "load.stiffness", "load.preload")
+    found = identify(pair(truth), Parameters({name: truth[name] for name in names}, {}))
     assert found.law.name == "cosine"
     assert missed(found.parameters, truth) < 0.01
 
 
 @pytest.mark.slow
-def test_two_runs_of_another_reality_predict_five_of_other_shapes(monkeypatch):
-    """Of which the wire has latent heat, free convection and a resistance that changes.
+def test_two_runs_of_another_simulator_predict_five_of_other_shapes(monkeypatch):
+    """Its wire has latent heat, free convection and a resistance that changes.
 
-    `./bench check loads` plays the other loads.
+    `./bench check loads` has the other loads.
     """
     monkeypatch.setattr(whole_model, "starts", lambda unknowns: [unknowns.start()])
     found = loads.try_bench("spring", 7, "rich")
@@ -154,7 +154,7 @@ def test_two_runs_of_another_reality_predict_five_of_other_shapes(monkeypatch):
     assert np.median(found["unseen"]) < loads.MEDIAN and max(found["unseen"]) < loads.TAIL
 
 
-def test_a_thermometer_that_lags_does_not_make_another_wire():
+def test_a_lag_of_the_thermometer_does_not_change_the_wires_parameters():
     believed = moving_lab("beam")
     truth = drawn(believed)
     random, seen = np.random.default_rng(8), []
@@ -171,7 +171,7 @@ def test_a_thermometer_that_lags_does_not_make_another_wire():
     assert {one.verdict for one in found.fit.values()} == {"ok"}
 
 
-# --- Laws of the wire, and limits of what a bench will read.
+# --- Laws of the wire, and limits of predicted readings.
 GRADE = dict(zip(TRANSITIONS.values(), (338.0, 362.0, 336.0, 314.0), strict=True))
 ROOM, STROKE = "environment.ambient_temperature", "wire.maximum_recoverable_strain"
 
@@ -186,7 +186,7 @@ def run(truth, shape, seed, top=5.5, period=35.0):
 
 
 def predicted(found, unseen, share=0.9):
-    """Its band, and the motion that was read at the band's times."""
+    """The predicted band, and the measured motion at its times."""
     band, moved = found.predict(unseen, share)["deflection"], unseen["elongation"]
     return band, np.interp(band.time, moved.time, moved.values)
 
@@ -200,10 +200,10 @@ def weighed(request):
     return truth, identify(records, Parameters(stated, known.given_uncertainty))
 
 
-def test_the_records_tell_the_law_and_its_band_holds_what_no_fit_saw(weighed):
+def test_the_law_is_identified_and_its_band_contains_a_hold_out(weighed):
     truth, found = weighed
     assert found.law.name == found.parameters["wire.law"] == truth["wire.law"]
-    # Where the load orients all martensite, brinson is the cosine.
+    # Where the load orients all martensite, the brinson law equals the cosine.
     same = found.law.others.get("brinson", 0.0) if found.law.name == "cosine" else 0.0
     assert found.law.probability > 0.6 and found.law.probability + same > 0.9
     assert found.law.probability + sum(found.law.others.values()) == pytest.approx(1.0)
@@ -214,7 +214,7 @@ def test_the_records_tell_the_law_and_its_band_holds_what_no_fit_saw(weighed):
     assert np.mean((moved > band.low) & (moved < band.high)) > 0.9
     assert np.mean(band.high - band.low) < 0.3 * np.ptp(moved)
     assert np.all(narrow.high - narrow.low < band.high - band.low)
-    # No bench that is drawn misses what was fitted.
+    # All drawn benches agree with the fitted records.
     every = (own for one in found.experiments[0].laws for own in one.drawn)
     fit, places = max(every, key=lambda own: own[0])[1:]
     readings = fit.problem.predict_many([fit.unknowns.parameters(x) for x in places])
@@ -231,14 +231,14 @@ def test_the_records_tell_the_law_and_its_band_holds_what_no_fit_saw(weighed):
 @pytest.mark.parametrize(("law", "more"), [
     ("cosine", {}), ("brinson", {"wire.detwinning_start_stress": 50e6}),
 ])  # fmt: skip
-def test_a_stated_law_is_kept_and_others_are_not_tried(law, more):
+def test_a_stated_law_is_used_and_others_are_not_tried(law, more):
     truth = bench("logistic" if law == "cosine" else law, more)
     found = identify([run(truth, "triangle", 1)], bench(law, more))
     assert (found.law.name, found.law.others) == (law, {}) and found.parameters["wire.law"] == law
     assert set(more) <= set(found.estimates)
 
 
-def test_a_coefficient_of_which_nothing_is_stated_may_be_constant():
+def test_convection_that_is_not_stated_may_be_found_constant():
     h = "wire.heat_transfer_coefficient"
     truth = bench("cosine", {h: 90.0})
     stated = {n: truth[n] for n in truth.given - {h, "wire.convection"}}
@@ -250,11 +250,11 @@ def test_a_coefficient_of_which_nothing_is_stated_may_be_constant():
     assert np.std(band.mean - moved) < 0.01 * np.ptp(moved)
 
 
-def test_runs_that_differ_are_said_to_and_widen_the_band():
+def test_runs_that_do_not_repeat_are_reported_and_widen_the_band():
     truth = bench()
 
     def differing(rooms):
-        """What is found of runs in rooms so many K away, which also stretch the wire."""
+        """Results of runs in rooms that differ by so many K, each with another stroke."""
         benches = [truth.replace({ROOM: 296.15 + away, STROKE: 0.044 * (1.0 + 0.01 * away)})
                    for away in rooms]
         records = [run(own, "triangle", seed) for seed, own in enumerate(benches)]
@@ -273,7 +273,7 @@ def test_runs_that_differ_are_said_to_and_widen_the_band():
     assert quiet < 0.5 * restless and narrow < wide
 
 
-def test_a_band_holds_a_bench_within_the_stated_uncertainties():
+def test_a_band_contains_a_bench_within_the_stated_uncertainties():
     known = moving_lab("spring", stds={"wire.resistance": 0.1, "load.stiffness": 40.0})
     drive = strokes(known, "triangle", 30.0, 60.0)
     band = band_of(known, lambda own: signals_of(simulate(own, *drive)), 0.9)
@@ -297,7 +297,7 @@ def test_the_command_adds_the_band_to_its_result(tmp_path, monkeypatch):
     assert main([*asked, "--out", "again", "--band", "0.9"]) == 2
 
 
-def test_what_no_band_can_be_made_of_is_refused():
+def test_a_band_without_a_basis_is_refused():
     nothing = identification_from({"parameters": {}, "experiments": [], "warnings": []}, "r")
     with pytest.raises(InputError, match="E10"):
         nothing.predict(None)

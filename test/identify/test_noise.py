@@ -1,5 +1,5 @@
-"""What raw readings tell: plateaus, ramps and heat of a voltage; noise of a sensor, what a mean of
-it is worth, what whitens it, and that it is found again."""
+"""Raw readings: plateaus, ramps and heat of a voltage; noise of a sensor, its mean, whitening and
+estimation."""
 
 import numpy as np
 import pytest
@@ -16,18 +16,18 @@ STEP = 10.0 / 1023.0
 
 
 def read(rng, exact, noise=0.003, step=STEP):
-    """With noise, by a converter of so many volts a step, 0 for none."""
+    """Add noise and round to steps of a converter, 0 for none."""
     noisy = exact + noise * rng.standard_normal(len(exact))
     return np.round(noisy / step) * step if step else noisy
 
 
 def held(time, values, grid):
-    """What the voltage read is taken for on a grid."""
+    """The reconstructed voltage, and its values on a grid."""
     applied = applied_voltage([(time, values)])
     return applied, applied.on_grid(grid, np.zeros(len(applied.early)))[:, 0]
 
 
-def test_quiet_supply_shows_the_same_plateaus_and_one_wild_sample_none():
+def test_a_quiet_supply_shows_all_plateaus_and_one_outlier_adds_none():
     time = np.arange(0.0, 30.0 * 26, 0.05)
     level = 26 * STEP * np.minimum((time / 30.0 + 1e-9).astype(int), 25)
     volts = read(np.random.default_rng(3), level, 0.0)
@@ -39,7 +39,7 @@ def test_quiet_supply_shows_the_same_plateaus_and_one_wild_sample_none():
 @settings(max_examples=20, deadline=None)
 @given(levels=st.lists(st.integers(0, 24), min_size=2, max_size=12), dwell=st.floats(3.0, 40.0),
        rate=st.sampled_from([10.0, 20.0, 100.0]), seed=st.integers(0, 1000))  # fmt: skip
-def test_any_steps_come_back_as_plateaus_at_their_levels(levels, dwell, rate, seed):
+def test_any_steps_are_found_as_plateaus_at_their_levels(levels, dwell, rate, seed):
     levels = [a for a, b in zip(levels, [*levels[1:], -1], strict=True) if a != b]
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, dwell * len(levels), 1.0 / rate)
@@ -51,8 +51,8 @@ def test_any_steps_come_back_as_plateaus_at_their_levels(levels, dwell, rate, se
     assert steps == pytest.approx([0.25 * level for level in levels], abs=STEP)
 
 
-def test_a_ramp_of_a_duty_read_by_a_coarse_converter_heats_as_it_did():
-    """Its volts are a root of time; taken for a few straight lines they made c_p 19 % too large."""
+def test_a_duty_ramp_read_by_a_coarse_converter_keeps_its_heat():
+    """Its voltage is a square root of time; as a few straight lines it made c_p 19 % too large."""
     time = np.arange(0.0, 41.0, 0.01)
     exact = np.sqrt(72.0 * np.interp(time, [0.0, 20.0, 40.0], [0.0, 1.0, 0.0]))
     grid = np.arange(0.0, 41.0, 0.1)
@@ -62,9 +62,9 @@ def test_a_ramp_of_a_duty_read_by_a_coarse_converter_heats_as_it_did():
     assert volts[driven] == pytest.approx(true[driven], rel=1.5e-3)
 
 
-def test_a_step_that_one_noisy_sample_does_not_show_is_no_ramp():
-    """22 mV at 1.8 V, where a sample may be off by 8 times 5 mV: taken for a ramp it put 1 % of the
-    heat elsewhere, which no candidate explains."""
+def test_a_step_too_small_for_one_noisy_sample_is_not_taken_for_a_ramp():
+    """22 mV at 1.8 V, where samples may be off by 8 times 5 mV: taken for a ramp it displaced 1 %
+    of the heat, which no candidate explains."""
     rng = np.random.default_rng(5)
     time = np.arange(0.0, 24.0, 0.02)
     exact = np.interp(time, [0.0, 20.0, 24.0], [1.0, 1.8, 1.8])  # a ramp stays one
@@ -79,7 +79,7 @@ def test_a_step_that_one_noisy_sample_does_not_show_is_no_ramp():
 
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 @pytest.mark.parametrize("period", [0.04, 0.48, 1.0])
-def test_triangles_of_a_slow_logger_heat_as_they_did_between_its_readings(period, noise):
+def test_triangles_of_a_slow_logger_keep_their_heat_between_readings(period, noise):
     """Heat spread evenly from one reading to the next came up to half a period early or late, which
     passed for a sensor's lag; corners between two readings passed for jumps."""
 
@@ -101,8 +101,8 @@ def test_triangles_of_a_slow_logger_heat_as_they_did_between_its_readings(period
         ("sines", 0.01, 0.05, 0.004), ("cycles", 0.02, 0.0, 0.005),
     ],
 )  # fmt: skip
-def test_a_noisy_voltmeters_ramps_and_curves_heat_as_they_did(drive, noise, step, off):
-    """Corners that noise hid and chords of a sine were a lag of the thermometer, with 86 %."""
+def test_ramps_and_curves_of_a_noisy_voltmeter_keep_their_heat(drive, noise, step, off):
+    """Corners hidden by noise and chords of a sine passed for a lag of the thermometer (86 %)."""
     random = np.random.default_rng(5)
     time = np.arange(0.0, 200.0, 0.01)
     phase = np.maximum(time - 3.0, 0.0)
@@ -124,7 +124,7 @@ def test_a_noisy_voltmeters_ramps_and_curves_heat_as_they_did(drive, noise, step
 @given(kind=st.sampled_from(["corners", "steps", "waves", "wander"]), n=st.integers(25, 1500),
        noise=st.sampled_from([0.0, 0.001, 0.02, 0.1]), step=st.sampled_from([0.0, 0.005, 0.05]),
        rate=st.sampled_from([2.0, 10.0, 100.0]), seed=st.integers(0, 9999))  # fmt: skip
-def test_whatever_a_voltage_does_its_pieces_stay_in_order_and_near_it(
+def test_the_pieces_of_any_voltage_stay_in_order_and_near_it(
     kind, n, noise, step, rate, seed
 ):
     random = np.random.default_rng(seed)
@@ -162,21 +162,21 @@ def drawn(noise: Noise, count: int, seed: int) -> np.ndarray:
 
 
 def log_likelihood(noise, residual):
-    """As the fits add it up: the whitened residual and the log of the whitening's determinant."""
+    """As in the fits: the whitened residual, and the log determinant of the whitening."""
     white = noise.whiten(residual)
     return -0.5 * white @ white - noise.log_scale(len(residual))
 
 
 def test_disagreeing_records_widen_the_error():
     agreeing = combine([Estimate(v, 0.1, "K", "m", 5) for v in (1.0, 1.05, 0.95)])
-    clashing = combine([Estimate(v, 0.1, "K", "m", 5) for v in (1.0, 2.0, 0.0)])
+    disagreeing = combine([Estimate(v, 0.1, "K", "m", 5) for v in (1.0, 2.0, 0.0)])
     assert agreeing.std == pytest.approx(0.1 / np.sqrt(3.0))
-    assert clashing.std == pytest.approx(1.0 / np.sqrt(3.0), rel=0.01)
+    assert disagreeing.std == pytest.approx(1.0 / np.sqrt(3.0), rel=0.01)
     assert agreeing.n == 15
 
 
 @pytest.mark.parametrize("noise", NOISES, ids=str)
-def test_whitened_noise_is_white_and_its_likelihood_that_of_the_full_covariance(noise):
+def test_whitened_noise_is_white_and_its_likelihood_equals_that_of_the_full_covariance(noise):
     white = noise.whiten(drawn(noise, 20_000, seed=3))
     assert np.var(white) == pytest.approx(1.0, abs=0.04)
     for lag in (1, 2, 5, 25):
@@ -204,7 +204,7 @@ def test_white_level_drift_and_memory_are_recovered():
     assert estimate_noise([np.zeros(500)], 0.3, PERIOD).white == pytest.approx(0.27)
 
 
-def test_a_drift_that_no_sensor_has_costs_probability_unless_its_zero_wanders():
+def test_an_implausible_drift_costs_probability_unless_the_sensors_zero_wanders():
     residual = drawn(Noise(0.1, 6.0, 60.0, PERIOD), 1500, 4)
     free = estimate_noise([residual], 0.1, PERIOD)
     held = estimate_noise([residual], 0.1, PERIOD, usual=0.3)

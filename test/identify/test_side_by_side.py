@@ -1,4 +1,4 @@
-"""Work side by side comes back whole and in order."""
+"""Results of parallel work are complete and in order."""
 
 import threading
 import time
@@ -29,8 +29,8 @@ def test_two_threads_give_results_in_order_and_the_first_error():
     assert in_threads(lambda k: threads_to_spare(), [(0,), (1,)]) == [2, 2]
 
 
-def test_who_has_nothing_more_to_do_helps_within_what_the_other_is_at():
-    """Of two tasks one is short; soon the long one's own parts run side by side, never three."""
+def test_an_idle_thread_helps_with_parts_of_the_others_task():
+    """Once a short task is done, parts of the long one run two at a time, never three."""
     running, most = set(), []
 
     def part(_):
@@ -51,7 +51,7 @@ def test_who_has_nothing_more_to_do_helps_within_what_the_other_is_at():
     assert max(most) == 2
 
 
-def test_a_process_of_a_pool_and_one_that_is_told_so_keep_to_one_core(monkeypatch):
+def test_a_pool_process_and_one_limited_by_the_environment_use_one_core(monkeypatch):
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         assert pool.submit(threads_to_spare).result() == 0
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")

@@ -1,5 +1,5 @@
-"""E1 to E3 and E8 on synthetic staircases and ramps: right numbers with true errors, wrong models
-and sensors noticed."""
+"""E1 to E3 and E8 on synthetic staircases and ramps: right numbers with right errors; wrong models
+and sensors are noticed."""
 
 import math
 from dataclasses import replace
@@ -32,7 +32,7 @@ def result(*records, experiments=("E1", "E2"), parameters=PARAMETERS):
 
 
 def about(found, subject, *words):
-    """Texts of the warnings on a subject that hold all the words."""
+    """Texts of the warnings on a subject that contain all the words."""
     return [w for w in found.warnings if subject in w and all(word in w for word in words)]
 
 
@@ -45,7 +45,7 @@ def is_right(found, name, errors=2.0, truth=None):
     return abs(e.value - (truth or TRUTH.get(name, AMBIENT))) < errors * e.std
 
 
-def test_an_offset_of_the_current_sensor_is_found_and_moves_no_number():
+def test_an_offset_of_the_current_sensor_is_found_and_changes_no_result():
     found = result(staircase(sensors=Sensors(offset=0.03), seed=3))
     assert all(is_right(found, name) for name in (R, H, T0)) and found.warnings == ()
     offset = next(f.numbers for f in found.experiments[0].findings if f.subject == "current")
@@ -66,18 +66,18 @@ def test_resistance_that_differs_between_heating_and_cooling_is_noticed():
 @pytest.mark.compiled
 def test_a_resistance_or_a_coefficient_that_changes_is_noticed_as_a_bend():
     found = result(staircase(Wire(resistance_change=-0.05)))
-    # The heating is judged by measured power: h itself is constant here.
+    # E2 uses the measured power here, and h itself is constant.
     assert about(found, R, "not a straight line") and not about(found, H, "not a straight line")
     assert is_right(found, H)
     found = result(staircase(Wire(bend=5e-4)))
     (warning,) = about(found, H, "not a straight line", "rises")
     h, known = found.estimates[H], PARAMETERS[H]
-    assert known + (h.value - known) / h.informed > 410.0  # before it was joined with the known
+    assert known + (h.value - known) / h.informed > 410.0  # before combination with the prior
     assert h.std > 5.0 and not about(found, R, "straight")
 
 
 @pytest.mark.compiled
-def test_what_a_staircase_lacks_is_said():
+def test_faults_of_a_staircase_are_reported():
     unsettled = result(staircase(Wire(mass=8e-3)))
     assert about(unsettled, H, "plateaus had not settled")
     assert is_right(unsettled, H, 2.5) and is_right(result(staircase(dwell=6.0)), R, 2.5)
@@ -91,13 +91,13 @@ def test_what_a_staircase_lacks_is_said():
 
 
 def behind_leads(record, leads, count):
-    """The same wires, `count` in parallel, as a voltmeter before their leads (ohm) sees them."""
+    """The record of `count` such wires in parallel, with the voltage before their leads (ohm)."""
     return changed(record, voltage=lambda x: x * (1.0 + count * leads / 2.75),
                    current=lambda x: x * count)
 
 
 @pytest.mark.compiled
-def test_leads_and_parallel_wires_are_taken_off_what_is_identified():
+def test_results_are_corrected_for_leads_and_parallel_wires():
     leads, count = 0.3, 2
     shown = (staircase(seed=5, increment=0.5), ramp(seed=5))
     records = [behind_leads(one, leads, count) for one in shown]
@@ -124,7 +124,7 @@ def ramps(*records, parameters=KNOWN):
     return identify(records, parameters, ["E3"])
 
 
-def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit():
+def test_differentiated_noise_biases_the_slope_of_the_paper_but_not_the_fit():
     found = ramps(ramp(seed=5))
     (e3,) = found.experiments
     paper, curves = e3.details["differentiator"], e3.curves
@@ -135,9 +135,9 @@ def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit():
 
 
 @pytest.mark.compiled
-def test_offset_between_the_clocks_is_told_from_thermal_inertia():
+def test_an_offset_between_clocks_is_separated_from_thermal_inertia():
     found = ramps(ramp(sensors=Sensors(100.0, 80.0, delay=0.02), seed=1))
-    # A camera's lag of some milliseconds looks like a delay: the two are known together.
+    # A camera lag of some milliseconds looks like a delay: only their sum is known.
     late = [f.numbers for f in found.experiments[0].findings if "delay" in f.numbers][0]
     assert abs(late["delay"] - 0.02) < 2.5 * late["delay_std"] < 0.006
     assert is_right(found, CP)
@@ -146,7 +146,7 @@ def test_offset_between_the_clocks_is_told_from_thermal_inertia():
 
 @pytest.mark.compiled
 @pytest.mark.parametrize("late", [300_000, 5_000_000, 9_700_000])
-def test_steps_of_a_ramp_that_all_come_early_or_late_between_two_readings_are_no_delay(late):
+def test_steps_of_a_ramp_at_the_same_place_between_two_readings_are_no_delay(late):
     """As on a bench in real time, where commands and readings have one clock."""
     names = ("wire.voltage", "wire.temperature", "voltage_command")
     bench = VirtualBench(PAPER, {p.name: p.default for p in SIMULATOR})
@@ -165,8 +165,8 @@ def test_steps_of_a_ramp_that_all_come_early_or_late_between_two_readings_are_no
     (e3,) = found.experiments
     delay = e3.details["delay"]
     assert abs(delay.value) < 2.0 * delay.std < 0.012
-    (told,) = [f.numbers for f in e3.findings if "delay" in f.numbers]
-    assert abs(told["delay"]) < 2.0 * told["delay_std"] < 0.009
+    (reported,) = [f.numbers for f in e3.findings if "delay" in f.numbers]
+    assert abs(reported["delay"]) < 2.0 * reported["delay_std"] < 0.009
     assert not any("pass for thermal inertia" in text for text in remarks(found))
 
 
@@ -174,7 +174,7 @@ def test_without_a_jump_the_clock_offset_stays_in_the_error():
     found = ramps(ramp(rest=0.0, repeat=1))
     cp = found.estimates[CP]
     assert any("cannot be told from thermal inertia" in text for text in remarks(found))
-    assert cp.std / cp.informed**0.5 > 0.03 * cp.value  # before it was joined with the known
+    assert cp.std / cp.informed**0.5 > 0.03 * cp.value  # before combination with the prior
 
 
 @pytest.mark.compiled
@@ -208,7 +208,7 @@ def test_ramps_that_contradict_the_known_heat_loss_or_do_not_warm_are_noticed():
         ramps(ramp(top=0.2))
 
 
-# --- Sensors: what a scale may be off by is in the errors, and shared by the numbers it made.
+# --- Sensors: scale errors are in the errors, and common to the numbers that depend on them.
 def both():
     return staircase(seed=3), ramp(seed=3)
 
@@ -223,12 +223,12 @@ def test_numbers_share_the_errors_of_their_sensors():
     correlation = found.correlation
     at = [correlation.names.index(name) for name in (R, H, CP)]
     matrix = correlation.matrix[np.ix_(at, at)]
-    # A current read low makes R large, and h and c_p small.
+    # A current that is read too low makes R too large, and h and c_p too small.
     assert matrix[0, 1] == pytest.approx(-5e-3 / whole, abs=0.05) and matrix[1, 2] > 0.9
     assert np.linalg.eigvalsh(correlation.matrix).min() > -1e-9
 
 
-def test_a_calibration_puts_the_readings_right():
+def test_a_stated_calibration_corrects_the_readings():
     read = [changed(one, voltage=lambda x: x / 0.97,
                     temperature=lambda x: AMBIENT + 0.8 * (x - AMBIENT),
                     current=lambda x: (x - 0.02) / 1.05) for one in both()]
@@ -240,7 +240,7 @@ def test_a_calibration_puts_the_readings_right():
 
 
 @pytest.mark.parametrize("recorded", [False, True])
-def test_a_room_that_drifts_is_in_the_errors_or_taken_off(recorded):
+def test_a_drifting_room_is_in_the_errors_or_subtracted(recorded):
     record = staircase(seed=5, dwell=12.0)
     time = record["wire.temperature"].time
     rise = 1.5 * time / time[-1]
@@ -253,23 +253,23 @@ def test_a_room_that_drifts_is_in_the_errors_or_taken_off(recorded):
     # The mean over the plateaus' windows, which lie at their ends.
     room = found.estimates[T0]
     assert abs(room.value - (AMBIENT + 0.75)) < 3.0 * room.std + 0.01
-    said = [f.numbers["drift"] for e in found.experiments for f in e.findings
-            if "drift" in f.numbers]
-    assert said == ([] if recorded else [pytest.approx(1.5, rel=0.1)])
+    drifts = [f.numbers["drift"] for e in found.experiments for f in e.findings
+              if "drift" in f.numbers]
+    assert drifts == ([] if recorded else [pytest.approx(1.5, rel=0.1)])
 
 
 @pytest.mark.compiled
-def test_staircases_in_different_air_are_not_pooled_without_a_word():
+def test_staircases_in_different_air_are_pooled_with_a_warning():
     still, moved = (staircase(Wire(coefficient=h), seed=7, dwell=12.0) for h in (410.0, 492.0))
     assert about(result(still, moved), H, "2 staircases lie")
     assert result(still, staircase(seed=8, dwell=12.0)).warnings == ()
-    # A doubt about the heat loss is one about the specific heat.
+    # A warning about the heat loss also concerns the specific heat.
     bent = identify([staircase(Wire(bend=2e-3), dwell=12.0), ramp()], PARAMETERS)
     assert about(bent, CP, "about which E2 warns")
 
 
 @pytest.mark.compiled
-def test_what_the_cameras_messages_state_takes_the_data_sheets_place():
+def test_errors_in_the_cameras_messages_replace_those_of_its_data_sheet():
     read = []
     for record in both():
         wire = record["wire.temperature"]
@@ -283,9 +283,9 @@ def test_what_the_cameras_messages_state_takes_the_data_sheets_place():
     assert identify(read, PARAMETERS).estimates[H].systematic == pytest.approx(0.0, abs=1e-9)
 
 
-# Monte Carlo: the stated errors are true ones.
+# Monte Carlo: the stated errors are right.
 TRIALS = 12
-GAIN_STD = 3e-4  # of the voltmeter; that of a calibrated one
+GAIN_STD = 3e-4  # of a calibrated voltmeter
 CALIBRATED = PAPER.replace(
     uncertainty={**EXACT_SENSORS, VOLTS: GAIN_STD, "sensor.temperature.lag": 0.0}
 )
@@ -302,7 +302,7 @@ def deviation(seed):
     gain = GAIN_STD * rng.standard_normal()
     steady = Sensors(offset=rng.normal(0.0, 0.02), scale_error=gain)
     moving = Sensors(100.0, 80.0, offset=0.01, delay=rng.uniform(-0.005, 0.005), scale_error=gain)
-    # Nor does a supply know when it will be read: in step with the readings c_p is 0.1 % low.
+    # The supply is not in step with the readings: if it were, c_p would be 0.1 % low.
     lead = 4.0 + rng.uniform(0.0, 1.0 / moving.power_rate)
     records = [staircase(wire, steady, seed, 15.0, top=6.25 * scale, increment=0.5 * scale),
                ramp(wire, moving, seed + 5000, top=2.5 * scale, lead=lead)]  # fmt: skip
@@ -312,12 +312,11 @@ def deviation(seed):
 
 
 @pytest.mark.slow
-def test_intervals_of_95_percent_hold_the_truth_as_often_as_they_say():
+def test_95_percent_intervals_contain_the_true_numbers_as_often_as_they_should():
     errors = np.array([deviation(s) for s in range(TRIALS)])
     # 36 numbers: 2.5 deviations of a binomial below 95 %.
     assert np.mean(np.abs(errors) < 1.96) >= 0.86
-    # And neither a bias that hides in the spread, by three deviations of a mean, nor errors for
-    # show.
+    # No bias within the spread (three deviations of the mean), and errors not too large.
     assert np.all(np.abs(errors.mean(axis=0)) < 3.0 / np.sqrt(TRIALS)), errors.mean(axis=0)
     assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.2
 
@@ -329,7 +328,7 @@ UP = np.linspace(298.15, 325.15, 7)
 
 
 def clamped(levels=(*UP, *UP[::-1]), preload=60e6, transform_above=math.inf):
-    """Of 30 s at each of the levels (K), which a PI controller comes to with an overshoot."""
+    """A record of 30 s at each level (K), reached with an overshoot as by a PI controller."""
     rng, time = np.random.default_rng(1), np.arange(0.0, 30.0 * len(levels), 0.05)
     k, s = (time / 30.0).astype(int), time % 30.0
     level, before = np.array(levels)[k], np.array(levels)[np.maximum(k - 1, 0)]
@@ -348,7 +347,7 @@ def expansion(record, parameters=PAPER):
     return experiment, experiment.estimates[NAME]
 
 
-def test_factor_comes_back_is_judged_plausible_and_parallel_wires_share_the_force():
+def test_the_factor_is_recovered_and_plausible_and_parallel_wires_share_the_force():
     experiment, estimate = expansion(clamped())
     assert estimate.value == pytest.approx(THETA, rel=0.03)
     assert estimate.std < 0.1 * abs(THETA)
@@ -356,14 +355,14 @@ def test_factor_comes_back_is_judged_plausible_and_parallel_wires_share_the_forc
     sure, unsure = (expansion(clamped(), PAPER.replace(uncertainty={"wire.diameter": std}))[1].std
                     for std in (0.0, 15e-6))
     assert unsure == pytest.approx(math.hypot(sure, 0.1 * abs(THETA)), rel=0.05)
-    with pytest.raises(InputError, match="nothing to identify"):  # a weight's pull is no heat's
+    with pytest.raises(InputError, match="nothing to identify"):  # the force is a weight's
         identify([clamped()], PAPER.replace({"load.kind": "force", "load.force": 4.0}))
     two = expansion(clamped(), PAPER.replace({"wire.count": 2}))[1]
     half = (0.5 * estimate.value, 0.5 * estimate.std)
     assert (two.value, two.std) == pytest.approx(half, rel=0.02)
 
 
-def test_plateaus_above_the_austenite_start_are_left_out_and_said():
+def test_plateaus_above_the_austenite_start_are_left_out_and_reported():
     levels = list(np.arange(298.15, 365.0, 5.0))
     experiment, estimate = expansion(clamped(levels, preload=30e6, transform_above=336.1))
     assert estimate.value == pytest.approx(THETA, rel=0.1)

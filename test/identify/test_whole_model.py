@@ -1,5 +1,5 @@
-"""The whole model fitted: to the composite rig's own records (E10), to a wire in a load frame (E9),
-and to a drive that was made for something else (E0)."""
+"""The whole model fitted: to records of the composite rig (E10), to a wire in a load frame (E9),
+and to a drive made for another purpose (E0)."""
 
 import json
 from dataclasses import replace
@@ -43,7 +43,7 @@ def foreign(shared_data):
     return records, read_parameters(folder / "nominal.yaml"), truth
 
 
-def test_deflection_alone_gives_the_truth_within_its_errors_and_says_what_it_cannot_tell(foreign):
+def test_deflection_alone_gives_true_numbers_within_errors_and_names_those_it_cannot_give(foreign):
     records, nominal, truth = foreign
     found = identify_moving_bench([only(records[0], "voltage", "deflection")], nominal)
     numbers = {n: e for n, e in found.estimates.items() if n not in SHAPES}
@@ -52,15 +52,15 @@ def test_deflection_alone_gives_the_truth_within_its_errors_and_says_what_it_can
     assert max(map(abs, z.values())) < 3.0, z
     for name, estimate in found.estimates.items():
         assert estimate.std <= nominal.std(name) and 0.0 <= estimate.informed <= 1.0
-    untold = next(f for f in found.findings if f.subject == "priors").text
+    unknown = next(f for f in found.findings if f.subject == "priors").text
     ohms = found.estimates["wire.resistance"]
-    assert "wire.resistance" in untold and FRONT not in untold and "the prior" in ohms.method
+    assert "wire.resistance" in unknown and FRONT not in unknown and "the prior" in ohms.method
     assert ohms.informed < 0.2 and ohms.std > 0.8 * nominal.std("wire.resistance")
     assert found.estimates[FRONT].std < 0.7 * nominal.std(FRONT)
     assert len([f.text for f in found.findings if "product" in f.text]) == 2
 
 
-def test_all_signals_give_the_truth_and_products_better_than_their_factors(foreign):
+def test_all_signals_give_true_numbers_and_products_better_than_their_factors(foreign):
     records, nominal, truth = foreign
     identified = identify(records, nominal)
     (found,) = identified.experiments
@@ -119,7 +119,7 @@ def without(record, name):
     return replace(record, signals={n: s for n, s in record.signals.items() if n != name})
 
 
-def test_bending_coefficients_that_nobody_gave_start_from_the_geometry_and_may_differ():
+def test_bending_coefficients_that_were_not_given_start_from_the_geometry_and_may_differ():
     truth = bench(**{ALPHA: 0.9, FRONT: 2.4e9, BACK: 3.4e9})
     known = bench(**{ALPHA: 0.0, FRONT: 0.0, BACK: 0.0})
     found = identify_moving_bench([bent(truth)], known)
@@ -130,7 +130,7 @@ def test_bending_coefficients_that_nobody_gave_start_from_the_geometry_and_may_d
     assert back.value - front.value > 5.0 * front.std
 
 
-def test_range_sensors_stand_in_for_the_tip_and_what_the_model_lacks_is_in_the_residual():
+def test_range_sensors_replace_the_tip_and_a_drift_outside_the_model_is_reported():
     record = bent(bench())
     tip, ranges = record["deflection"], without(record, "deflection")
     for side, sign in (("front", -1.0), ("back", 1.0)):
@@ -146,10 +146,10 @@ def test_range_sensors_stand_in_for_the_tip_and_what_the_model_lacks_is_in_the_r
 
 
 @pytest.mark.slow
-def test_errors_stay_true_under_coloured_noise():
+def test_errors_stay_right_under_correlated_noise():
     """Taken as white, noise with rho = 0.95 would make the errors six times too small."""
     truth = bench()
-    # All else is known, or its uncertainty would hide what the noise does.
+    # All else is exact, so that its uncertainty does not hide the effect of the noise.
     exact = dict.fromkeys((*HEAT, *MATERIAL), 0.0)
     known = truth.replace({}, {**exact, ALPHA: 0.1, FRONT: 5e8, BACK: 5e8})
     deviations = []
@@ -162,7 +162,7 @@ def test_errors_stay_true_under_coloured_noise():
 
 @pytest.mark.parametrize(("drop", "message"), [("back_1.voltage", "no voltage of channel back_1"),
                                                ("deflection", "no motion")])  # fmt: skip
-def test_what_is_absent_is_named(drop, message):
+def test_a_missing_signal_is_named(drop, message):
     with pytest.raises(InputError, match=message):
         identify_moving_bench([without(bent(bench()), drop)], bench())
 
@@ -182,14 +182,14 @@ def lab():
     return drawn, records
 
 
-def test_clamped_staircase_alone_tells_the_thermal_expansion_factor(lab):
+def test_a_clamped_staircase_alone_gives_the_thermal_expansion_factor(lab):
     drawn, records = lab
     found = identify_load_frame([records["clamped"]], drawn.known)
     estimate = found.estimates["wire.thermal_expansion_factor"]
     true = drawn.truth["wire.thermal_expansion_factor"]
     assert abs(estimate.value - true) < 3.0 * estimate.std < 0.06 * abs(true)
-    untold = next(f for f in found.findings if f.subject == "priors").text
-    assert "wire.maximum_recoverable_strain" in untold
+    unknown = next(f for f in found.findings if f.subject == "priors").text
+    assert "wire.maximum_recoverable_strain" in unknown
 
 
 def test_a_load_is_followed_where_it_was_measured_and_nowhere_else():
@@ -211,7 +211,7 @@ def test_a_load_is_followed_where_it_was_measured_and_nowhere_else():
             assert hold.value == pytest.approx(np.interp(middle, time, force), abs=0.1)
 
 
-def test_a_frames_loops_are_isobaric_tests_where_asked_for_and_wires_share_its_force(lab):
+def test_loops_of_a_frame_are_isobaric_tests_if_asked_for_and_wires_share_its_force(lab):
     drawn, records = lab
     found = identify([records["isobaric"]], drawn.known, ["E6"])
     assert [e.name for e in found.experiments] == ["E6"]
@@ -225,7 +225,7 @@ def test_a_frames_loops_are_isobaric_tests_where_asked_for_and_wires_share_its_f
     assert alone and shared == pytest.approx(0.5 * np.array(alone))
 
 
-def test_a_frame_needs_a_drive_and_loads_that_are_held_or_clamps(lab):
+def test_a_frame_needs_a_drive_and_held_loads_or_clamps(lab):
     drawn, records = lab
     record = without(records["isobaric"], "wire.voltage")
     assert holds_frame(record, drawn.known.replace({"bench.drive": "current"}))
@@ -237,7 +237,7 @@ def test_a_frame_needs_a_drive_and_loads_that_are_held_or_clamps(lab):
         identify_load_frame([replace(record, signals=signals)], drawn.known)
 
 
-def test_held_load_without_a_thermometer_is_fitted_all_the_same():
+def test_a_held_load_is_fitted_without_a_thermometer():
     rng = np.random.default_rng([38, 86])
     record = draw_record(draw_rig("force", rng), rng)
     assert {"elongation", "force"} <= set(record.signals)
@@ -280,11 +280,11 @@ def test_any_drive_that_excites_gives_resistance_loss_and_heat(drive):
     better = next(f.text for e in found.experiments for f in e.findings if f.subject == "E0")
     assert all(name in better for name in ("E1", "E2", "E3"))
     alone = sma_bench.identify(read(drive, "voltage", "current"), LAB).estimates
-    assert set(alone) == {R}  # of a current comes no heat loss
+    assert set(alone) == {R}  # a current does not show the heat loss
     assert alone[R].value == pytest.approx(3.0, rel=0.03)
 
 
-def test_a_source_of_current_without_volts_drives_a_fit():
+def test_a_current_source_without_a_voltmeter_is_fitted():
     record = read(random_binary, "current", "temperature")
     found = sma_bench.identify(record, LAB | {"bench.drive": "current"})
     loss = found.estimates[H].value
@@ -293,7 +293,7 @@ def test_a_source_of_current_without_volts_drives_a_fit():
         sma_bench.identify(record, LAB)
 
 
-def test_a_run_given_twice_a_wire_at_rest_and_one_not_read_are_refused():
+def test_a_run_given_twice_a_wire_at_rest_and_one_without_readings_are_refused():
     record = read(random_binary)
     with pytest.raises(InputError, match="copy: holds the samples of"):
         sma_bench.identify([record, replace(record, path=Path("copy"))], LAB)
@@ -303,8 +303,8 @@ def test_a_run_given_twice_a_wire_at_rest_and_one_not_read_are_refused():
 
 
 def test_steps_and_a_slow_thermometer_alone_predict_other_steps():
-    """Steady states tell the loss of heat; how fast a wire warms, and the thermometer, one fit of
-    all, though nobody states mass or area."""
+    """Steady states give the heat loss; one joint fit gives the time constants of wire and
+    thermometer, although mass and area are not stated."""
     def steps(t):
         return np.array([0.0, 0.5, 0.9, 0.7, 0.3, 0.0])[np.minimum(t / 14.0, 5.0).astype(int)]
 

@@ -1,4 +1,4 @@
-"""Records of a wire rig: nothing here uses the package's own heat response."""
+"""Records of a wire rig, made without the package's own heat model."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ SUPPLY_NOISE, CURRENT_NOISE, CAMERA_NOISE = 0.004, 0.015, 0.08
 
 @dataclass(frozen=True)
 class Wire:
-    """Truth of a synthetic wire."""
+    """True parameters of a synthetic wire."""
 
     resistance: float = 2.75
     coefficient: float = 410.0
@@ -22,8 +22,8 @@ class Wire:
     mass: float = 0.091e-3
     area: float = 395.84e-6
     ambient: float = 297.3
-    bend: float = 0.0  # 1/K, by which h rises with the temperature
-    resistance_change: float = 0.0  # ohm, which comes on around 340 K
+    bend: float = 0.0  # 1/K, relative rise of h with the temperature
+    resistance_change: float = 0.0  # ohm, added at temperatures from around 340 K on
 
     @property
     def tau(self) -> float:
@@ -34,7 +34,7 @@ class Wire:
         return self.resistance + self.resistance_change * share
 
     def steady(self, voltage):
-        """K where heating and loss balance."""
+        """Temperature [K] at which heating and loss balance."""
         rise = np.linspace(0.0, 400.0, 40001)
         loss = self.coefficient * (1.0 + self.bend * rise) * self.area * rise
         squares = loss * self.resistance_at(self.ambient + rise)
@@ -43,7 +43,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What reads it."""
+    """The sensors that read it."""
 
     power_rate: float = 20.0  # Hz
     temperature_rate: float = 20.0  # Hz
@@ -53,25 +53,25 @@ class Sensors:
 
 
 def clock(rng, duration, rate):
-    """Jittered stamps in s of which some are lost."""
+    """Jittered timestamps in s, some of them lost."""
     stamps = np.arange(0.0, duration, 1.0 / rate)
     stamps = np.sort(stamps + rng.normal(0.0, 0.1 / rate, len(stamps)))
     return np.unique(stamps[(rng.random(len(stamps)) > 0.05) & (stamps >= 0.0)])
 
 
 def record_of(wire, sensors, seed, voltage, duration, step, lag=0.0, cooling=None, markers=()):
-    """What sensors read under volts (a function of s): first order towards the steady temperature
-    in steps of `step` s, the camera behind by `lag` s. `cooling`: (s, ohm) of another resistance
-    from then on."""
+    """Readings under a voltage (function of s): first-order response towards the steady temperature
+    in steps of `step` s, a camera that lags by `lag` s. `cooling`: (s, ohm), from then on another
+    resistance."""
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, duration + 1.0, step)
 
-    def behind(course, tau):
+    def lagged(values, tau):
         keep = np.exp(-step / tau)
-        return wire.ambient + lfilter([0.0, 1.0 - keep], [1.0, -keep], course - wire.ambient)
+        return wire.ambient + lfilter([0.0, 1.0 - keep], [1.0, -keep], values - wire.ambient)
 
-    true = behind(wire.steady(voltage(time + 0.5 * step)), wire.tau)
-    seen = behind(true, lag) if lag else true
+    true = lagged(wire.steady(voltage(time + 0.5 * step)), wire.tau)
+    seen = lagged(true, lag) if lag else true
 
     t = clock(rng, duration, sensors.power_rate)
     v = (voltage(t) + rng.normal(0.0, SUPPLY_NOISE, len(t))) * (1.0 + sensors.scale_error)
@@ -91,13 +91,13 @@ def record_of(wire, sensors, seed, voltage, duration, step, lag=0.0, cooling=Non
 
 
 def only(record, *endings):
-    """The record without all signals but these."""
+    """The record with only the signals that end in these."""
     kept = {n: s for n, s in record.signals.items() if n.endswith(endings)}
     return replace(record, signals=kept)
 
 
 def changed(record, **changes):
-    """With other values of a wire's quantities, by a function of what they were."""
+    """The record with the values of some quantities of the wire changed by functions."""
     signals = dict(record.signals)
     for quantity, change in changes.items():
         own = signals[f"wire.{quantity}"]

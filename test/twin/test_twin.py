@@ -1,4 +1,4 @@
-"""The twin beside a synthetic bench: what it says of effects, of none, and of bad streams."""
+"""The twin beside a synthetic bench: verdicts with an effect, with none, and on faulty streams."""
 
 import math
 
@@ -28,7 +28,7 @@ SOUND = "no gap beyond the noise"
 
 
 def by_turns(time):
-    """A rest, then front and back by turns; V."""
+    """V: a rest, then front and back by turns."""
     if time < REST:
         return 0.0, 0.0
     return [(2.0, 0.0), (0.0, 0.0), (0.0, 2.0), (1.6, 0.0)][int((time - REST) / PULSE) % 4]
@@ -43,14 +43,14 @@ def at_rest(time):
 
 
 class Stream:
-    """A bench of its own clock, heard by a twin; `spoil` changes readings before it hears them.
+    """A bench with its own clock and a twin; `spoil` changes readings on their way to the twin.
 
-    `said` are the verdicts in the order of time.
+    `verdicts` are those of the twin, in the order of time.
     """
 
     def __init__(self, truth, belief=BENCH, drive=by_turns, spoil=None, **simulator):
         self.bench = VirtualBench(truth, SIMULATOR | simulator)
-        self.predictions, self.residuals, self.said = [], [], []
+        self.predictions, self.residuals, self.verdicts = [], [], []
         self.twin = Twin(belief, SETTINGS, self.predictions.append, self.residuals.append)
         self.drive, self.spoil = drive, spoil or (lambda kind, time, values: values)
         self.time, self.shift = 0.0, 0.0
@@ -64,7 +64,7 @@ class Stream:
             self.time = round(self.time + SLICE, 6)
             if round(self.time / SLICE) % 4 == 0:
                 self.twin.advance()
-                self.said.append(self.twin.verdict)
+                self.verdicts.append(self.twin.verdict)
         return self.twin.verdict
 
     def tell(self, reading):
@@ -84,15 +84,15 @@ class Stream:
                 self.twin.mechanics(stamp, first if self.bench.moves else second)
 
     def states(self):
-        return {verdict.state for verdict in self.said}
+        return {verdict.state for verdict in self.verdicts}
 
     def grown(self):
-        """The stages of each verdict that a gap grew."""
-        return [verdict.stages for verdict in self.said if verdict.state == GREW]
+        """Stages of each verdict that reports a grown gap."""
+        return [verdict.stages for verdict in self.verdicts if verdict.state == GREW]
 
 
 def coloured(memory):
-    """What a thermometer's noise of a memory of that many seconds makes of its readings."""
+    """Adds noise of a thermometer with a correlation time of so many seconds."""
     random, phi = np.random.default_rng(5), math.exp(-1.0 / (RATE * memory))
     drawn = random.standard_normal((4000, 2)) * 0.4 * math.sqrt(1.0 - phi**2)
     noise = iter(lfilter([1.0], [1.0, -phi], drawn, axis=0))
@@ -100,7 +100,7 @@ def coloured(memory):
 
 
 def no_numbers(kind, time, values):
-    """Five times a second."""
+    """NaN or infinity, five times a second."""
     if round(time * 1000) % 200:
         return values
     if kind == "power":
@@ -112,7 +112,7 @@ def blind(kind, _, values):
     return [] if kind == "temperature" else values
 
 
-@pytest.mark.parametrize(("bench", "drive", "late", "seconds", "spoil", "said"), [
+@pytest.mark.parametrize(("bench", "drive", "late", "seconds", "spoil", "message"), [
     (BENCH, by_turns, 0.0, 60.0, None, SOUND),
     (CLAMPED, one_wire, 0.0, 30.0, None, SOUND),
     (BENCH, by_turns, 10.5, 30.0, None, SOUND),  # joins in a pulse
@@ -122,14 +122,14 @@ def blind(kind, _, values):
     (BENCH, by_turns, 0.0, 40.0, no_numbers, None),
     (BENCH, by_turns, 0.0, 60.0, blind, f"{SOUND}; not judged: thermal"),
 ])  # fmt: skip
-def test_a_bench_that_does_as_believed_is_never_called_a_gap(
-    bench, drive, late, seconds, spoil, said
+def test_a_bench_that_follows_the_model_never_has_a_gap(
+    bench, drive, late, seconds, spoil, message
 ):
     stream = Stream(bench, bench, drive, spoil, seed=0 if spoil or late else 2)
     stream.run(late, heard=False)
     verdict = stream.run(seconds)
     assert stream.states() == {LEARNING, QUIET}
-    assert said is None or verdict.message == said
+    assert message is None or verdict.message == message
     if not (spoil or late):
         assert [s.stage for s in verdict.measured][-3:] == ["electrical", "thermal", "mechanical"]
         assert all(0.5 < s.energy < 2.0 for s in verdict.measured)
@@ -146,7 +146,7 @@ def test_a_bench_that_does_as_believed_is_never_called_a_gap(
 @pytest.mark.parametrize(("load", "supply"), [("force", {"bench.drive": "duty"}),
                                               ("spring", {"bench.lead_resistance": 0.3}),
                                               ("antagonist", {})])  # fmt: skip
-def test_wires_with_a_load_are_quiet_until_they_do_otherwise(load, supply):
+def test_wires_with_a_load_have_a_gap_only_with_an_effect(load, supply):
     rig = BENCH if load == "antagonist" else BENCH.replace(ONE_WIRE)
     belief = rig.replace({"load.kind": load, **LOADS[load], **supply})
     spoilt = belief.replace({"effect.residual_strain.share": 0.2})
@@ -177,12 +177,12 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage(effect, expected):
     stream.run(7.0 + 4.5 * PULSE)
     named = stream.grown()
     assert named and named[-1] == (expected,)
-    # That a thermometer reads low is seen when the wires begin to pull.
+    # A thermometer that reads low shows as such once the wires begin to pull.
     before = {"thermal"} if expected == "sensor" else set()
     assert {s for stages in named for s in stages} - before == {expected}
 
 
-def test_predictions_of_the_twin_are_those_of_the_bench_without_noise():
+def test_predictions_of_the_twin_equal_the_bench_without_noise():
     exact = {"sensor.voltage_noise": 0.0, "sensor.voltage_resolution": 0.0}
     stream = Stream(BENCH, **exact)
     stream.run(20.0)
@@ -196,7 +196,7 @@ def test_predictions_of_the_twin_are_those_of_the_bench_without_noise():
     assert driven.temperature[0] > driven.temperature[1] + 30.0
 
 
-def test_a_change_of_parameters_takes_the_gap_away_and_the_past_with_it():
+def test_a_change_of_parameters_also_re_simulates_the_past_and_ends_the_gap():
     """And a gap that was accepted as known has not grown."""
     stream, knowing = Stream(COUPLED), Stream(COUPLED, COUPLED)
     assert stream.run(30.0).state == GREW
@@ -211,19 +211,19 @@ def test_a_change_of_parameters_takes_the_gap_away_and_the_past_with_it():
     assert last.stamp == reference.stamp
     assert last.temperature == pytest.approx(reference.temperature, abs=1e-9)
     assert last.mechanics == pytest.approx(reference.mechanics, abs=1e-12)
-    stream.said.clear()
+    stream.verdicts.clear()
     assert stream.run(20.0).state == QUIET
     assert stream.states() == {LEARNING, QUIET}
 
 
-def test_a_gap_that_was_there_at_first_is_known():
+def test_a_gap_from_the_start_is_known():
     stream = Stream(COUPLED, drive=lambda _: (1.5, 0.0))
     stream.run(30.0)
     assert GREW not in stream.states()
-    assert stream.said[-1].message.startswith("known gap: thermal stage")
+    assert stream.verdicts[-1].message.startswith("known gap: thermal stage")
 
 
-def test_holes_jumps_and_records_that_begin_again_are_judged_anew():
+def test_the_twin_restarts_after_gaps_in_time_jumps_and_looped_records():
     stream, again = Stream(BENCH), Stream(BENCH)
     stream.run(12.0)
     stream.run(3.0, heard=False)
@@ -232,14 +232,14 @@ def test_holes_jumps_and_records_that_begin_again_are_judged_anew():
     stream.shift = 5000.0
     assert stream.run(20.0).state == QUIET
     assert stream.twin.restarts == 2 and stream.states() == {LEARNING, QUIET}
-    # Played twice, as by a looping player: the second round's bench is cold again.
+    # Played twice, as by a looping player: in the second round the bench is cold again.
     again.twin = stream.twin
     assert again.run(20.0).state == QUIET
     assert stream.twin.restarts == 3 and again.states() == {LEARNING, QUIET}
     assert stream.twin.reason.startswith("time went back by")
 
 
-def test_what_is_silent_is_waited_for_or_leaves_the_stage_open():
+def test_missing_voltages_are_awaited_and_missing_temperatures_leave_the_stage_open():
     stream = Stream(BENCH, spoil=lambda kind, _, v: v[:1] if kind == "power" else v)
     assert stream.run(10.0).message == "learning: waiting for voltage of back_1"
     assert not stream.predictions
@@ -248,8 +248,8 @@ def test_what_is_silent_is_waited_for_or_leaves_the_stage_open():
     assert stream.run(30.0).message.startswith(open_stage)
 
 
-def test_a_reading_that_says_how_far_it_may_be_off_is_taken_at_its_word():
-    """A camera sees no cold wire: its reading is the background, give or take 1.6 K."""
+def test_the_stated_uncertainty_of_a_reading_is_taken_into_account():
+    """A camera does not see a cold wire: it reads the background, within 1.6 K."""
 
     def off(kind, time, values):
         return [v + 1.05 for v in values] if kind == "temperature" and time > 8.0 else values
@@ -262,8 +262,8 @@ def test_a_reading_that_says_how_far_it_may_be_off_is_taken_at_its_word():
     assert telling.states() == {LEARNING, QUIET}
 
 
-def test_noise_as_large_as_a_sensor_may_have_is_no_gap_and_a_step_beyond_it_is_soon():
-    """Hours of a drifting thermometer, as `./bench check twin_alarms` draws weeks of it."""
+def test_noise_that_a_sensor_may_have_is_no_gap_and_a_step_beyond_it_is_one_soon():
+    """Hours of a drifting thermometer; `./bench check twin_alarms` draws weeks of it."""
     random = np.random.default_rng(7)
     allowed = twin_alarms.ALLOWED
     for time in (3.0, 30.0, 200.0):
@@ -274,26 +274,26 @@ def test_noise_as_large_as_a_sensor_may_have_is_no_gap_and_a_step_beyond_it_is_s
     assert (delay < 10.0).all()
 
 
-def test_rates_and_patience_may_change_while_it_runs():
+def test_rates_and_timeout_may_change_while_the_twin_runs():
     stream = Stream(CLAMPED, CLAMPED, one_wire)
     stream.run(3.0)
     often = len(stream.predictions)
     stream.twin.tune(SETTINGS | {"publish_rate": 5.0, "voltage_timeout": 3.0})
     stream.run(3.0)
     assert 12 < len(stream.predictions) - often < 18 < 0.5 * often
-    for patience, restarts in ((3.0, 0), (0.5, 1)):
-        stream.twin.tune(SETTINGS | {"voltage_timeout": patience})
+    for timeout, restarts in ((3.0, 0), (0.5, 1)):
+        stream.twin.tune(SETTINGS | {"voltage_timeout": timeout})
         stream.run(1.0, heard=False)
         stream.run(1.0)
         assert stream.twin.restarts == restarts
 
 
-def test_a_twin_is_not_told_in_time_what_a_testing_machine_does():
+def test_a_twin_refuses_a_load_with_imposed_motion():
     with pytest.raises(InputError, match="twin: load.kind is displacement, expected a load"):
         Stream(CLAMPED, CLAMPED.replace({"load.kind": "displacement"}))
 
 
-def test_the_limits_hold_a_bench_that_is_off_by_what_is_uncertain():
+def test_the_band_contains_a_bench_within_the_uncertainties():
     unsure = {"wire.resistance": 0.02, "wire.heat_transfer_coefficient": 12.0,
               "wire.maximum_recoverable_strain": 0.0015}  # fmt: skip
     truth = BENCH.replace({name: BENCH[name] + std for name, std in unsure.items()})
@@ -301,12 +301,12 @@ def test_the_limits_hold_a_bench_that_is_off_by_what_is_uncertain():
     for stream, share in zip(streams, (0.9, 0.0), strict=True):
         stream.twin.tune(SETTINGS | {"band": share})
         stream.run(40.0)
-    told, true = (stream.predictions for stream in streams)
-    first = next(k for k, one in enumerate(told) if one.off) + 100
+    banded, true = (stream.predictions for stream in streams)
+    first = next(k for k, one in enumerate(banded) if one.off) + 100
     for quantity in ("current", "temperature", "mechanics"):
         predicted, there, off = (
             np.array([getattr(one, quantity) for one in some])
-            for some in (told[first:], true[first:], [one.off for one in told[first:]])
+            for some in (banded[first:], true[first:], [one.off for one in banded[first:]])
         )
         miss = np.abs(there - predicted)
         assert np.mean(miss <= off) > 0.8 and np.max(miss) > 0.2 * np.max(off) > 0.0
@@ -315,4 +315,4 @@ def test_the_limits_hold_a_bench_that_is_off_by_what_is_uncertain():
     streams[0].twin.change(BENCH.replace({}, sure))  # no band, and why
     assert "uncertainty" in streams[0].twin.no_band
     streams[0].run(1.0)
-    assert told[-1].off is None
+    assert banded[-1].off is None
