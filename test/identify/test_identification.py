@@ -105,7 +105,7 @@ BARE = Record(Path("empty"), 0, {})
     ([BARE], "signals none", None), ([], "no record", None),
     ([BARE], "'E4', expected one of E0", ["E4"]),
 ])  # fmt: skip
-def test_records_that_give_nothing_are_refused_in_one_line_with_reason(records, message, experiments):
+def test_records_that_give_nothing_are_refused_in_one_line(records, message, experiments):
     with pytest.raises(InputError) as caught:
         identify(records, DEFAULTS, experiments)
     assert message in str(caught.value) and "\n" not in str(caught.value)
