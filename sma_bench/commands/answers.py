@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
     from sma_bench.tasks.batch import Outcome
 
-_CELLS_SHOWN = 6
-_IDENTIFYING, _DIAGNOSING = 0.3, 0.9  # of the time, about
+_CELLS_SHOWN = 6  # rows of the table of where the gap lies
+_IDENTIFYING, _DIAGNOSING = 0.3, 0.9  # share of the time after which each is done, about
 BAD_INPUT, MISFIT = 2, 3  # exit status: a record failed; the model does not fit the records
 
 
@@ -89,12 +89,12 @@ def run_diagnose(args: SimpleNamespace) -> int:
 
 
 def _asked(args: SimpleNamespace, records: Sequence[str]) -> Invocation:
-    """The command, on which the card's advice depends."""
+    """The parts of the command that the card's advice repeats."""
     return Invocation(tuple(records), args.params or "", args.out or "", args.report or "")
 
 
 def _write_report(args: SimpleNamespace, result: Any, column: Any, *inputs: Any) -> None:
-    """The page of a result, where --report asks for one."""
+    """Write the page of a result if --report asks for one."""
     if args.report:
         made = options.made_of(args, *inputs)
         with terminal.progress("drawing the report") as report:
@@ -104,7 +104,7 @@ def _write_report(args: SimpleNamespace, result: Any, column: Any, *inputs: Any)
 
 @options.command("try")
 def run_try(args: SimpleNamespace) -> int:
-    """From tables to a page, by identify and diagnose; 3 on a misfit, 2 where nothing is found."""
+    """From tables to a page, by identify and diagnose. Exit status 3: the model does not fit."""
     from sma_bench.records.open import parse_stated
     from sma_bench.records.storage import is_bag
     from sma_bench.report.page import Made
@@ -120,7 +120,7 @@ def run_try(args: SimpleNamespace) -> int:
     parameters = options.parameters_from_options(args)
     stated = parse_stated(args.stated) if args.stated else {}
     make_folder(out)
-    for path in written.values():  # what this run does not find again
+    for path in written.values():  # no result of an earlier run may remain
         path.unlink(missing_ok=True)
     records = _imported(args, out, stated)
     bags = [record for record in records if is_bag(Path(record))]
@@ -157,7 +157,7 @@ def run_try(args: SimpleNamespace) -> int:
     for result, own in results.values():
         console.print(f"{card_text(result, console.width, own)}\n", markup=False, soft_wrap=True)
     if bags and not args.params:
-        terminal.say("no --params: nothing is believed of this bench, so no gap was looked for")
+        terminal.say("no --params: without stated parameters no gap was looked for")
     terminal.say(f"page {written_page}")
     entries = {name: result.to_json() for name, (result, _) in results.items()}
     terminal.write_json(args.json, {"page": str(written_page), "records": records, **entries})
@@ -165,7 +165,7 @@ def run_try(args: SimpleNamespace) -> int:
 
 
 def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> list[str]:
-    """Paths of records: those of the files, and of loggers' tables the bags made of them."""
+    """Paths of the records: files that are records themselves, and bags made of logger tables."""
     from sma_bench.records import open_records
 
     records, tables = [], []
@@ -173,7 +173,7 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
         try:
             open_records(file, None, stated)
             records.append(file)
-        except InputError:  # import says what is wrong with what is no logger's table either
+        except InputError:  # perhaps a logger's table; if not, import reports what is wrong
             tables.append(file)
     for files in [tables] if args.together and tables else [[table] for table in tables]:
         bag = out / Path(files[0]).stem
@@ -190,7 +190,7 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
 
 @options.command("batch")
 def run_batch(args: SimpleNamespace) -> int:
-    """Do every record, print a table in their order; 2 where one failed, 3 where one misfits."""
+    """Process all records, print a table in their order. Exit status 2: one failed, 3: a misfit."""
     from sma_bench.tasks.batch import Outcome, Task, do_tasks
 
     parameters = options.parameters_from_options(args)
@@ -212,7 +212,7 @@ def run_batch(args: SimpleNamespace) -> int:
                 outcomes[k] = outcome
                 if args.out and outcome.result is not None:
                     file = str(Path(args.out) / names[k])
-                    with interrupts_held():  # both or none
+                    with interrupts_held():  # both files or none
                         terminal.write_json(f"{file}.json", outcome.result)
                         write_text_atomically(f"{file}.yaml", outcome.yaml)
                 count(len(outcomes))
@@ -226,7 +226,7 @@ def run_batch(args: SimpleNamespace) -> int:
 
 
 def file_names(paths: list[str]) -> list[str]:
-    """A name a record for its files: the record's own, all numbered where one comes again."""
+    """File names, one per record: the record's own; all numbered if two are the same."""
     names = [Path(path).name for path in paths]
     return names if len({*names}) == len(names) else [f"{k}_{n}" for k, n in enumerate(names, 1)]
 
@@ -257,7 +257,7 @@ def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:
 
 @options.command("investigate")
 def run_investigate(args: SimpleNamespace) -> int:
-    """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
+    """Repeat until the cause is named, inseparable, or time is up. Exit 0 with any verdict."""
     from sma_bench.tasks.investigation import HEADER, OPEN, QUANTITIES, TEST, Investigation
 
     options.one_only(args, "simulated", "namespace")
@@ -275,31 +275,31 @@ def run_investigate(args: SimpleNamespace) -> int:
             break
         following = case.next_run()
         if not _agreed(following, args.yes):
-            terminal.say(f"stopped; the same command goes on from {args.folder}")
+            terminal.say(f"stopped; the same command continues in {args.folder}")
             break
         if args.simulated:
             _run_simulated(following, args.simulated, case.believed)
         else:
             run_bench(following, args.namespace)
     if case.chapters:
-        terminal.print_table(Table(HEADER, case.rows(), frozenset({0, 1}), title="the story"))
+        terminal.print_table(Table(HEADER, case.rows(), frozenset({0, 1}), title="History"))
         terminal.say(f"{case.summary()}; page {case.write_page(args.command_line)}")
         if case.state == TEST:
-            terminal.say(f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
-                         f"{case.folder}/believed.yaml, or record with the sensor and give the "
-                         "bag, then go on with the same command")
+            terminal.say(f"next: {case.chapters[-1].proposed['why']}; enter its result in "
+                         f"{case.folder}/believed.yaml, or record with the sensor and add the "
+                         "bag to the command, then run the same command again")
     terminal.write_json(args.json, case.to_json())
     return 0
 
 
 def _agreed(offer: Mapping[str, Any], yes: bool) -> bool:
-    """Whether the wires may be driven so."""
+    """Show the proposed run and ask; True if the wires may be driven."""
     terminal.say(f"next: {offer['protocol']}, {offer['minutes']:.1f} min, "
                  f"up to {offer['volts']:.2f} V ({offer['file']})")
     if yes:
         return True
     if not sys.stdin.isatty():
-        terminal.say("not confirmed: no terminal to ask on; --yes runs without asking")
+        terminal.say("not confirmed: no terminal to ask; --yes runs without asking")
         return False
     with suppress(EOFError):
         return input("run it? [y/N] ").strip().lower() in ("y", "yes")
@@ -307,7 +307,7 @@ def _agreed(offer: Mapping[str, Any], yes: bool) -> bool:
 
 
 def _run_simulated(run: Mapping[str, Any], bench: str, believed: "Parameters") -> None:
-    """Drive the bench of a file in software, and record it."""
+    """Drive a simulated bench with the parameters of a file, and record it."""
     from sma_bench.live.virtual_bench import SimulatedRun
     from sma_bench.parameters import read_parameters
     from sma_bench.protocols import load_protocol
@@ -322,7 +322,7 @@ def _run_simulated(run: Mapping[str, Any], bench: str, believed: "Parameters") -
 
 
 def run_bench(run: Mapping[str, Any], namespace: str | None) -> None:
-    """Drive a bench by its experiment node, with a recorder of our own."""
+    """Drive a bench through its experiment node, and record it with a recorder started here."""
     with options.needs_ros("investigate", "--simulated needs no ROS 2"):
         from sma_bench.ros.bench_client import BenchClient
     name, seconds = run["protocol"], 60.0 * run["minutes"]

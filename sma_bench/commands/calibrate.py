@@ -1,5 +1,5 @@
 """sma-bench calibrate SENSOR: gain and offset of a sensor of the Uno, from pairs of reading and
-known load: typed, of a CSV file, or of the device while one load after the other is applied."""
+known load: typed, from a CSV file, or read from the device while the user applies the loads."""
 
 import csv
 import math
@@ -24,15 +24,15 @@ from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 from sma_bench.parameters.yaml_file import read_parameter_names, write_named_values
 
 _TABLE = {parameter.name: parameter for parameter in SERIAL_BRIDGE}
-_CONNECTING = 10.0  # s
-_AVERAGED = 100  # readings of one known load, at 100 Hz
+_CONNECTING = 10.0  # s, timeout for the connection, and for the readings of one load
+_AVERAGED = 100  # readings per known load: 1 s at 100 Hz
 
 
 @options.command("calibrate")
 def run_calibrate(args: SimpleNamespace) -> int:
-    """Fit, print, write; a calibration of this sensor that --out holds goes with --force only."""
+    """Fit, print, write; --out may replace a calibration of this sensor with --force only."""
     name, sensor = args.sensor, SENSORS[args.sensor]
-    # What stays in --out, and whether it has a sensor of the same quantity.
+    # Parameters in --out that are kept, and other sensors of the same quantity calibrated there.
     kept: dict[str, Any] = {}
     if args.out and os.path.exists(args.out):
         if args.csv:
@@ -43,14 +43,14 @@ def run_calibrate(args: SimpleNamespace) -> int:
     others = calibrated & alike - {name}
     own = [f"calibration.{name}.", *([] if others else [f"uncertainty.sensor.{sensor.quantity}."])]
     if (held := [key for key in kept if key.startswith(tuple(own))]) and not args.force:
-        raise InputError(f"{args.out}: holds {held[0]} already; --force replaces it")
-    # The pairs, and the lens of a range sensor.
+        raise InputError(f"{args.out}: contains {held[0]} already; --force replaces it")
+    # The pairs, and the depth of a range sensor's lens.
     if sum(map(bool, (args.pairs, args.csv, args.device))) != 1:
         raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")
     if args.device and not args.known:
         raise InputError("--device: expected the known loads too, --known LOAD LOAD ...")
     if args.shift is not None and not sensor.is_range:
-        raise InputError(f"--shift: {name} is no range sensor")
+        raise InputError(f"--shift: {name} is not a range sensor")
     if args.device:
         pairs = list(_measured(name, args.device, args.known))
     elif args.csv:
@@ -71,7 +71,7 @@ def run_calibrate(args: SimpleNamespace) -> int:
     fit = fit_sensor(name, readings, known, shift)
     for key, value in fit.parameters.items():
         _TABLE[key].validated(value, "calibrate")
-    # What came of it; identification is to believe the worst of both boards, or sides.
+    # The result. Both sensors of a quantity share one uncertainty: that of the worse one.
     std = {key: value if math.isfinite(value) else None for key, value in fit.std.items()}
     for key, value in fit.parameters.items():
         error = f" +- {std[key]:.2g}" if std.get(key) is not None else ""
@@ -81,7 +81,7 @@ def run_calibrate(args: SimpleNamespace) -> int:
         print(f"{key:32} {value:.2g}")
     unit = sensor.known_unit
     span = f"{len(pairs)} pairs from {min(known):g} to {max(known):g} {unit}"
-    print(f"{span}, rms of what is left {fit.rest:.2g} {unit}")
+    print(f"{span}, rms residual {fit.rest:.2g} {unit}")
     write_json(args.json, {"parameters": fit.parameters, "std": std, "rms": fit.rest,
                            "pairs": pairs, "uncertainty": fit.uncertainty})
     if args.out:
@@ -101,7 +101,7 @@ def _pair(words: Sequence[str], where: str) -> tuple[float, float]:
 
 
 def _measured(name: str, port: str, known: Sequence[float]) -> Iterator[tuple[float, float]]:
-    """A pair for each load, once the person at the bench has applied it."""
+    """Reading and load, for each load once the user has applied it and pressed Enter."""
     sensor, readings = SENSORS[name], list[Telemetry]()
     with closing(SerialLink(lambda: open_port(port), on_reading=readings.append)) as link:
         link.start()
@@ -110,12 +110,12 @@ def _measured(name: str, port: str, known: Sequence[float]) -> Iterator[tuple[fl
         for load in known:
             print(f"apply {load:g} {sensor.known_unit}, then Enter: ", end="", flush=True)
             if not sys.stdin.readline():
-                raise InputError("calibrate: ended before the last load")
+                raise InputError("calibrate: input ended before the last load")
             readings.clear()
             end = time.monotonic() + _CONNECTING
             while len(readings) < _AVERAGED:
                 if time.monotonic() > end:
-                    problem = link.status.problem or "silence"
+                    problem = link.status.problem or "timeout"
                     raise InputError(f"calibrate: readings stopped: {problem}")
                 time.sleep(0.01)
             values = [sensor.reading(telemetry) for telemetry in readings[:_AVERAGED]]

@@ -1,4 +1,4 @@
-"""sma-bench demo: Table I of a wire, and a composite that hides an effect, by real nodes."""
+"""sma-bench demo: Table I of a wire, and the diagnosis of a composite with a hidden effect."""
 
 import json
 import subprocess
@@ -23,36 +23,36 @@ from sma_bench.protocols import load_protocol
 from sma_bench.report.tables import Table, diagnosis_tables
 from sma_bench.results import card_text
 
-# The first act: the paper's E1 to E3 in short, and what scale and ruler say of the wire.
+# Part 1: short versions of the paper's E1 to E3; mass and size of the wire are given.
 TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
              "wire.specific_heat": "c_p"}
 QUICK = ("quick_staircase", "quick_ramp")
-SIGMAS, LARGEST_ERROR = 2.0, 0.01  # standard errors, and of the value
+SIGMAS, LARGEST_ERROR = 2.0, 0.01  # largest deviation in standard errors; error over value
 _PAPER = Parameters.of_paper()
 _WEIGHED = {name: _PAPER[name] for name in ("wire.mass", "wire.surface_area", "wire.diameter")}
 
-# The second act.
+# Part 2: the gap.
 HIDEABLE: dict[str, dict[str, tuple[float, float]]]
 HIDEABLE = read_yaml(Path(__file__).with_name("demo.yaml"))["hideable"]
 RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
-LAB_FILE = share_directory() / "config" / "demo_rig.yaml"  # what the lab believes of its bench
-_EITHER_SIGN = ("phase_dependent_resistance",)
-_FARTHEST = 2.0  # standard errors
-_ALL_BUT_CERTAIN = 0.8  # probability of a candidate
-# An Uno's own 5 V range: over 10 V, a step of its 10 bit heats as much as a small effect.
+LAB_FILE = share_directory() / "config" / "demo_rig.yaml"  # the lab's stated parameters
+_EITHER_SIGN = ("phase_dependent_resistance",)  # effects whose number may be negative
+_FARTHEST = 2.0  # stated standard deviations by which a hidden parameter is off at most
+_NEARLY_CERTAIN = 0.8  # probability of a candidate
+# The Uno's own range is 5 V: over 10 V, one of its 1024 steps heats as much as a small effect.
 _INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
-# One a command: nodes that talk cost more of the processor than all that is computed.
+# Hz, one reading per command: messages cost more CPU time than the simulation.
 _RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
 _PROTOCOLS = share_directory() / "config" / "protocols"
 _PATIENCE = 600.0  # s: the service may have to wait for the compiler
-# Seconds of two quiet cores; nodes do not exceed so many times real time by much.
+# s that each step takes on two idle cores, to show the time left.
 _STARTING, _COMPILING, _IDENTIFYING, _DRAWING, _DIAGNOSING = 3.0, 20.0, 4.0, 3.0, 12.0
-_REACHED = 30.0
+_REACHED = 30.0  # times real time: nodes are hardly faster, whatever --speed
 
 
 @options.command("demo")
 def run_demo(args: SimpleNamespace) -> int:
-    """Both acts; 1 where Table I or the diagnosis is not as promised. InputError: no ROS 2 here."""
+    """Run both parts. Exit status 1: Table I or the diagnosis is wrong. InputError: no ROS 2."""
     from sma_bench.compiled import is_compiled
     from sma_bench.diagnose.result import diagnosis_from
     from sma_bench.physics import core
@@ -71,10 +71,10 @@ def run_demo(args: SimpleNamespace) -> int:
     gap = out / "simulated_gap"
     for folder in (out / "bags", out / "logs", gap / "bags", gap / "logs"):
         make_folder(folder)
-    write_parameters(out / "truth.yaml", truth, "What the simulated bench is made of.")
+    write_parameters(out / "truth.yaml", truth, "True parameters of the simulated bench.")
     hidden_file = gap / "hidden.yaml"
-    write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
-    # What each step takes, about: the time left is that of the whole demo.
+    write_parameters(hidden_file, hidden_bench(lab, seed), "True parameters of the bench.")
+    # Estimated time of each step, to show the time left of the whole demo.
     pace = min(speed, _REACHED)
     plan = {COMPILING: 0.0 if is_compiled(core.run) else _COMPILING}
     plan |= {name: _STARTING + load_protocol(name, truth).duration / pace for name in QUICK}
@@ -83,8 +83,7 @@ def run_demo(args: SimpleNamespace) -> int:
     plan |= {"diagnose": _DIAGNOSING}
     state = terminal.WorkState()
     steps = {step: part(state.report, *ends) for step, ends in shares(plan).items()}
-    # The first act.
-    console.print("[bold]1. From a commanded volt to Table I[/]")
+    console.print("[bold]1. From commanded voltages to Table I[/]")
     with terminal.progress("demo", state):
         if not is_compiled(core.run):  # ./bench may be compiling already
             begin, command = time.monotonic(), [sys.executable, "-P", "-m", "sma_bench.physics"]
@@ -96,31 +95,31 @@ def run_demo(args: SimpleNamespace) -> int:
         bags, found = _recorded_and_asked(
             out, "/demo", out / "truth.yaml", QUICK, {"speed": speed}, steps,
             "identification/identify", lambda bags: {**settings, "record": bags})
-        result = identify_files(bags, Parameters(_WEIGHED))  # as the node did, for its page
+        result = identify_files(bags, Parameters(_WEIGHED))  # again as in the node, for the page
         page = write_identification_report(out / "report", result, steps["report"])
     estimates, rows = found["parameters"], []
     for name, symbol in TABLE_ONE.items():
-        cells = ["-", "-", "-"]  # not identified: the warnings say why
+        cells = ["-", "-", "-"]  # not identified; the warnings say why
         if own := estimates.get(name):
             off = _deviation(own, truth[name])
             cells = [f"{own['value']:.5g}", f"{own['std']:.2g}", f"{off:+.2f}"]
         known = f"{_PAPER[name]:.5g}", f"{truth[name]:.5g}"
         rows.append((symbol, BY_NAME[name].unit, *known, *cells))
-    header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
+    header = ("", "unit", "paper", "true", "identified", "std error", "deviation")
     terminal.print_table(Table(header, rows, frozenset(range(2, 7)), title="Table I"))
     for warning in found["warnings"]:
         terminal.say(f"note {warning}")
-    # R, h and c_p are all there, and what the scales of the sensors leave of their errors is small.
+    # R, h and c_p are identified, near the truth, and with small errors apart from sensor scales.
     holds = all(name in estimates and abs(_deviation(estimates[name], truth[name])) <= SIGMAS
                 and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
                 for name in TABLE_ONE)
-    terminal.say(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
+    terminal.say(f"within {SIGMAS:g} standard errors of the true values, statistical errors under "
                  f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")
     loaded = out / "identified.yaml"
     terminal.say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {loaded}")
-    # The second: the card and the candidates, then the truth, which only the bench has read so far.
+    # Part 2: card and candidates, then the true parameters, which only the simulator has read.
     console.print("\n[bold]2. The gap between simulation and bench[/]")
-    terminal.say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
+    terminal.say("Synthetic: a simulated bench with an effect unknown to the lab; real nodes.")
     gap_page, improved = gap / "report" / "index.html", gap / "improved.yaml"
     with terminal.progress("demo", state):
         simulator = {"speed": speed, **_INSTRUMENTS}
@@ -135,10 +134,10 @@ def run_demo(args: SimpleNamespace) -> int:
     terminal.print_table(diagnosis_tables(diagnosis)["candidates"])
     terminal.say(f"report     {gap_page}\nbags       {gap / 'bags'}\nnodes load {improved}")
     hidden = read_parameters(hidden_file)
-    terminal.say(f"\nThe truth, from {hidden_file}")
+    terminal.say(f"\nTrue parameters, from {hidden_file}")
     for sentence in reveal(answer, hidden):
         terminal.say(sentence)
-    terminal.say(f"The same again: --draw {seed}\n{time.monotonic() - started:.0f} s")
+    terminal.say(f"Repeat this demo: --draw {seed}\n{time.monotonic() - started:.0f} s")
 
     right = {"table_one": holds, "gap": not confidently_wrong(answer, hidden)}
     effect, numbers = hidden_effect(hidden)
@@ -155,7 +154,7 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
                         simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
                         settings: Callable[[list[str]], Mapping[str, Any]],
                         files: tuple[Path, ...] = ()) -> tuple[list[str], dict[str, Any]]:
-    """Bags of protocols that a simulated bench ran, and what a node's `service` makes of them."""
+    """Run protocols on a simulated bench; their bags, and the answer of a node's `service`."""
     node, _, work = service.partition("/")
     with options.needs_ros("demo"):
         from sma_bench.ros.bench_client import BenchClient
@@ -165,7 +164,7 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
     readings = [f"{channel}/{kind}" for channel in bench["bench.channels"] for kind in kinds]
 
     def look() -> None:
-        """While the client waits: do the nodes live, and how far is the service?"""
+        """While the client waits: check that the nodes live, and show the service's progress."""
         nodes.check()
         if share := client.progress(node):
             steps[work](*share)
@@ -193,7 +192,7 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
         nodes.start("simulator", {**_RATES, **simulator}, (file,))
         nodes.start("experiment", driven, (file,))
         bags = [record(protocol) for protocol in protocols]
-        for name in ("experiment", "simulator"):  # they have done their part
+        for name in ("experiment", "simulator"):  # no longer needed
             nodes.end(name)
         roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
         nodes.start(node, {**roots, **settings(bags)}, files)
@@ -203,12 +202,12 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
 
 
 def _deviation(estimate: Mapping[str, Any], true: float) -> float:
-    """Estimate less truth, in stated standard errors."""
+    """Estimate minus true value, in standard errors."""
     return float((estimate["value"] - true) / estimate["std"])
 
 
 def hidden_bench(lab: Parameters, seed: int) -> Parameters:
-    """What the lab believes, off by the errors that it states, and one effect on; all by `seed`."""
+    """The lab's parameters with random errors as stated, and one effect; all drawn by `seed`."""
     from sma_bench.estimation.unknowns import BACK, FRONT
 
     rng = np.random.default_rng(seed)
@@ -219,28 +218,28 @@ def hidden_bench(lab: Parameters, seed: int) -> Parameters:
     errors = np.clip(rng.standard_normal(len(lab.given_uncertainty)), -_FARTHEST, _FARTHEST)
     off = {name: float(lab[name] + error * std)
            for (name, std), error in zip(lab.given_uncertainty.items(), errors, strict=True)}
-    if lab[FRONT] == lab[BACK]:  # sides that are built alike are off alike
+    if lab[FRONT] == lab[BACK]:  # sides that are built alike have the same error
         off[BACK] = off[FRONT]
     return Parameters({name: lab[name] for name in lab.given} | off | numbers)
 
 
 def hidden_effect(bench: Parameters) -> tuple[str, dict[str, float]]:
-    """The one effect of a bench that hides one, and its numbers by their full names."""
+    """The effect that is on in a bench with exactly one, and its numbers by full name."""
     (effect,) = (name for name, effect in EFFECTS.items() if effect.is_on(bench))
     names = [f"{EFFECT_PREFIX}{effect}.{number}" for number in HIDEABLE[effect]]
     return effect, {name: bench[name] for name in names}
 
 
 def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
-    """Whether a diagnosis names, or holds for all but certain, what is not the truth."""
+    """True if the diagnosis names, or holds nearly certain, something other than the true cause."""
     effect, _ = hidden_effect(hidden)
-    certain = [c["name"] for c in answer["candidates"] if c["probability"] >= _ALL_BUT_CERTAIN]
+    certain = [c["name"] for c in answer["candidates"] if c["probability"] >= _NEARLY_CERTAIN]
     named = [answer["cause"]] if answer["cause"] else []
     return any(effect not in own for own in (*named, *(name.split("+") for name in certain)))
 
 
 def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
-    """The truth against what was said, a sentence a line; arguments of `confidently_wrong`."""
+    """The diagnosis compared with the truth, a sentence per line."""
     effect, numbers = hidden_effect(hidden)
     amounts = {name: f"{value:.4g} {BY_NAME[name].unit}".removesuffix(" 1")
                for name, value in numbers.items()}
@@ -253,7 +252,8 @@ def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
     if first in with_truth:
         yield f"{said}: right{'.' if first['name'] == effect else ', but not alone.'}"
     else:
-        yield f"{said}: WRONG; it gave the truth {sum(c['probability'] for c in with_truth):.2f}."
+        chance = sum(c["probability"] for c in with_truth)
+        yield f"{said}: WRONG; it gave the true cause {chance:.2f}."
     for name, true in numbers.items():
         if found := first["parameters"].get(name):
             off = f" ({_deviation(found, true):+.1f} standard errors)" if found["std"] else ""

@@ -1,4 +1,4 @@
-"""The paper's model: simulated on a protocol or on a bag's voltages, and linearised (E11)."""
+"""The paper's model: simulated with a protocol or a bag's voltages, and linearised (E11)."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sma_bench.physics import Simulation
 
 LARGEST_RATE = 10_000.0  # Hz
-_INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
+_INSTRUMENTS = (0.1, 0.5)  # share of the time when reading the sensors begins and ends
 _AT = ("voltage", "temperature", "martensite_fraction", "stress")
 
 
@@ -53,7 +53,7 @@ def run_simulate(args: SimpleNamespace) -> int:
         return bench.simulate_finely(*drive_of(record, parameters))
 
     with progress("simulate") as report:
-        report(0.0, "the model")
+        report(0.0, "simulating the model")
         simulation = simulated(parameters)
         band: dict[str, Any] = {}
         if args.band is not None:
@@ -91,7 +91,7 @@ def run_linearise(args: SimpleNamespace) -> int:
     from sma_bench.physics.linearised import OperatingPoint, linearise
     from sma_bench.report.tables import Table
 
-    # The point, of voltages, of temperatures or of a deflection.
+    # The operating point: from voltages, temperatures or a deflection.
     options.one_only(args, "deflection", "voltage", "temperature")
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     channels = parameters["bench.channels"]
@@ -132,7 +132,7 @@ def run_linearise(args: SimpleNamespace) -> int:
     tables = [
         Table(("wire", "V", "K", "xi", "MPa", "mm/V"), wires, frozenset(range(1, 6)),
               "operating_point", title),
-        Table(("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong"), rows,
+        Table(("coefficient", "eq.", "printed", "corrected", "unit", "error in the paper"), rows,
               frozenset({2, 3}), "coefficients", "Coefficients")]
     for table in tables:
         print_table(table)

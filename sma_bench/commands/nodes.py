@@ -1,4 +1,4 @@
-"""A running bench: its nodes, their services, and its page in the browser."""
+"""Commands for a running bench: start nodes, call services, show the dashboard."""
 
 import math
 import re
@@ -18,23 +18,23 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 
 NETWORK_OPTION = "--network"
 _LARGEST_ANSWER = 64 * MEGABYTE
-_PRESENCE, _ANSWER = 10.0, 600.0  # s within which a node has to be found, and to answer
+_PRESENCE, _ANSWER = 10.0, 600.0  # s, timeouts for finding a node and for its answer
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 _LARGEST_PORT = 65535
 
 
-# What follows NODE is the node's.
+# All arguments after NODE are passed to the node.
 @options.command("run", f"{COMMANDS['run']}\n\nnodes: {', '.join(sorted(NODE_TABLES))}",
                  ignore_unknown_options=True, allow_interspersed_args=False)
 def run_run(args: SimpleNamespace) -> int:
-    """Run a node until it ends. Raises InputError: no ROS 2 in this environment."""
+    """Run a node until it ends. Raises InputError: ROS 2 is not installed."""
     rest = list(args.rest)
     if network := rest[:1] == [NETWORK_OPTION]:
         from sma_bench.ros.processes import choose_discovery
 
         choose_discovery(network=True)
     sys.argv[1:] = [args.node, *rest[network:]]
-    # As `python -m` would, and it ends this process: commands and nodes do not know of each other.
+    # As `python -m` would; it ends this process. Commands do not import nodes.
     with options.needs_ros("run"):
         runpy.run_module("sma_bench.nodes.start", run_name="__main__")
     return 0
@@ -46,7 +46,7 @@ def run_call(args: SimpleNamespace) -> int:
     if not slash:
         raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
     if not _NAME.fullmatch(args.service):
-        raise InputError(f"call: {args.service!r} is no ROS name, expected letters, digits, _, /")
+        raise InputError(f"call: {args.service!r} is not a ROS name, expected letters, digits, _ /")
     if args.patience is not None and not 0.0 < args.patience < math.inf:
         raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
     settings = dict(map(options.named_value, args.settings))
@@ -77,7 +77,7 @@ def run_call(args: SimpleNamespace) -> int:
 
 @options.command("dashboard")
 def run_dashboard(args: SimpleNamespace) -> int:
-    """Serve until SIGINT or SIGTERM. InputError: no ROS 2 or tornado, a port that is taken."""
+    """Serve until SIGINT or SIGTERM. InputError: no ROS 2, no tornado, or the port is in use."""
     if not 0 <= args.port <= _LARGEST_PORT:
         raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
     import asyncio
@@ -102,11 +102,11 @@ def run_dashboard(args: SimpleNamespace) -> int:
         with listening_node(namespace, LiveState(),
                             lambda error: loop.call_soon_threadsafe(finish, error),
                             options.ros_arguments(args)) as node:
-            namespace = node.get_namespace()  # ROS's arguments may name another
+            namespace = node.get_namespace()  # --ros-args may have changed it
             server = DashboardServer(node, namespace, args.host, args.port)
             if not is_loopback(args.host):
-                print("sma-bench: note: others on the network who learn this address can see and "
-                      "stop the bench; it is not encrypted", file=sys.stderr)
+                print("sma-bench: note: anyone on the network who has this address can see and "
+                      "stop the bench; the connection is not encrypted", file=sys.stderr)
             print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
             try:
                 await end

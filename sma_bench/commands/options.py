@@ -1,4 +1,4 @@
-"""What commands share: options as commands.yaml declares them, what may be written, examples."""
+"""Shared by all commands: options as declared in commands.yaml, and the rules for outputs."""
 
 import re
 import shlex
@@ -25,20 +25,20 @@ if TYPE_CHECKING:
 
 STANDARD_OUTPUT = "-"
 FILE, FOLDER, BAG, NEW, OWN = "file", "folder", "bag", "new folder", "own"
-"""what a command writes: a file, a folder of files with names of their own, a bag, a folder that is
-never replaced, or what the command itself calls `keep_safe` for once it knows the files"""
+"""kinds of output: a file; a folder of files with fixed names; a bag; a folder that is never
+replaced; paths that the command checks itself by `keep_safe`, once it knows them"""
 _BAG_FILE = "metadata.yaml"
 _DECLARED = read_yaml(Path(__file__).with_name("commands.yaml"))
 _LONGEST_PATH = 4096
-_NARROWEST, _WIDEST = 30.0, 500.0  # mm of a column of print
-_SMALLEST, _LARGEST = 4.0, 24.0  # pt of its letters
+_NARROWEST, _WIDEST = 30.0, 500.0  # mm, width of a printed column
+_SMALLEST, _LARGEST = 4.0, 24.0  # pt, font size
 
-results: list[TextIO] = []  # last, where results of the command that runs go
+results: list[TextIO] = []  # the last: standard output of the running command, for its JSON
 
 
 class Terminated(KeyboardInterrupt):
-    """A polite kill. Python would end by SIGINT, whatever the exit code, had a plain
-    KeyboardInterrupt passed through code that a library compiles from text."""
+    """Raised on SIGTERM. Not a plain KeyboardInterrupt: once that has passed through code compiled
+    from text by a library, Python ends as by SIGINT, whatever the exit code."""
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
@@ -70,15 +70,15 @@ class Files(click.ParamType):
 
 
 class Output(Files):
-    """A path that is written, of a kind above."""
+    """A path to write, of one of the kinds above."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
 
 
 class Words(click.ParamType):
-    """One of some words, or of those at MODULE:NAME, which are looked up when they are asked for:
-    the help need not load what knows them. With `others` they are only what completion offers."""
+    """One of some words, or of those at MODULE:NAME, which is imported only when they are needed:
+    the help must load quickly. With `others`, other values are accepted too."""
 
     name = "word"
 
@@ -103,7 +103,7 @@ _TYPES = {"file": Files(), "float": float, "int": int, "unprocessed": click.UNPR
 
 
 def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
-    """One of click from its row; `shown`: "--rate HZ", "--yes" (a flag), RECORD, or [RECORD...]."""
+    """A click parameter from its row. `shown`: "--rate HZ", "--yes" (flag), RECORD, [RECORD...]."""
     name, dest, several = row.pop("name", None), row.pop("dest", None), row.pop("several", False)
     kind, writes, words = row.pop("type", None), row.pop("writes", None), row.pop("words", None)
     if words is not None:
@@ -122,12 +122,12 @@ def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
 
 
 class Command(click.Command):
-    """Shows its examples below its options; refuses to replace what is there before any work."""
+    """Shows examples below its options; checks its outputs before any work is done."""
 
     examples: Sequence[str] = ()
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """The arguments, options repeated for each value, once no output endangers a file."""
+        """Parse; "--option a b" becomes "--option a --option b". InputError: an unsafe output."""
         ctx.obj = shlex.join([*ctx.command_path.split(), *args])
         several = {o for p in self.params if isinstance(p, Several) for o in p.opts}
         for_ros = any(p.name == "ros_args" for p in self.params)
@@ -157,8 +157,8 @@ class Command(click.Command):
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run it. With JSON on standard output, what is for people goes to standard error."""
-        if ctx.ignore_unknown_options:  # a node, which ends in its own way
+        """Run it. With JSON on standard output, all other text goes to standard error."""
+        if ctx.ignore_unknown_options:  # a node, which handles signals itself
             return super().invoke(ctx)
         apart = ctx.params.get("json") == STANDARD_OUTPUT
         results.append(sys.stdout)
@@ -178,10 +178,10 @@ class Command(click.Command):
 
 def command(name: str, about: str = "",
             **context: Any) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
-    """A command as commands.yaml declares it, of its options and `command_line`, what was typed."""
+    """A command as declared in commands.yaml. Its function gets the options and `command_line`."""
     rows: dict[str, dict[str, Any]] = {}
     for shown, row in _DECLARED[name]["takes"].items():
-        # A shared row is completed by what this command says of it.
+        # The text of this command replaces {} in a shared row.
         for own, filled in _DECLARED["shared"].get(shown, {shown: row}).items():
             rows[own] = {"help": filled} if isinstance(filled, str) else dict(filled)
             if shown in _DECLARED["shared"]:
@@ -206,7 +206,7 @@ def command(name: str, about: str = "",
 
 
 def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> int:
-    """Run a command, "sma-bench info" say; its exit status. InputError: not its arguments."""
+    """Run a command, e.g. "sma-bench info"; its exit status. InputError: wrong arguments."""
     try:
         with whole.make_context(path, list(arguments)) as context:
             return whole.invoke(context) or 0
@@ -222,7 +222,7 @@ def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> in
 
 
 def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None:
-    """Refuse more than one of these options. Raises InputError: it names them."""
+    """Raises InputError: more than one of these options is given, or none if `required`."""
     given = [name for name in names if getattr(args, name) not in (None, ())]
     if len(given) > 1 or (required and not given):
         options = " or ".join(f"--{name.replace('_', '-')}" for name in names)
@@ -239,7 +239,7 @@ def parameters_from_options(args: SimpleNamespace) -> "Parameters":
 
 
 def pair(option: str, text: str, form: str = "NAME=VALUE") -> tuple[str, str]:
-    """Name and value of an option's text; a file's name may have =. InputError: another form."""
+    """Name and value of an option's text; a FILE may contain =. InputError: not of this form."""
     name, _, value = text.rpartition("=") if form.startswith("FILE") else text.partition("=")
     if "=" not in text or not name:
         raise InputError(f"{option} {text}: expected {form}")
@@ -247,7 +247,7 @@ def pair(option: str, text: str, form: str = "NAME=VALUE") -> tuple[str, str]:
 
 
 def named_value(text: str) -> tuple[str, Any]:
-    """NAME=VALUE of --set, the value as YAML has it. Raises InputError: it is not that."""
+    """Name and value of --set NAME=VALUE, the value parsed as YAML. InputError: not that form."""
     name, value = pair("--set", text)
     try:
         return name, load_yaml(value)
@@ -256,7 +256,7 @@ def named_value(text: str) -> tuple[str, Any]:
 
 
 def column_of(args: SimpleNamespace) -> "PaperColumn | None":
-    """The column for which figures are written. InputError: a width or letters no paper has."""
+    """Column width and font of the figures. InputError: a width or font size out of range."""
     if args.font is not None and (args.column is None or not _SMALLEST <= args.font <= _LARGEST):
         size = f"{_SMALLEST:g} to {_LARGEST:g} pt"
         raise InputError(f"--font is {args.font:g} pt, expected {size}, and --column with it")
@@ -275,13 +275,13 @@ def column_of(args: SimpleNamespace) -> "PaperColumn | None":
 
 
 def namespace_of(text: str | None) -> str:
-    """The namespace of a bench's nodes, /bench where none is given."""
+    """The namespace of a bench's nodes; /bench by default."""
     return "/" + (text or "bench").strip("/")
 
 
 @contextmanager
 def needs_ros(name: str, hint: str = "source a ROS 2 Jazzy setup file") -> Iterator[None]:
-    """Imports of what a command of this name needs. Raises InputError: it is not installed."""
+    """Wraps the imports that a command needs. Raises InputError: a module is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -295,25 +295,25 @@ def ros_arguments(args: SimpleNamespace) -> list[str]:
 
 
 def made_of(args: SimpleNamespace, *inputs: Sequence[str]) -> "Made":
-    """What a page is made of: the command line, its inputs and its parameter file."""
+    """The provenance of a page: the command line, its inputs and its parameter file."""
     from sma_bench.report.page import Made
 
     files = [*(path for several in inputs for path in several), getattr(args, "params", None)]
     return Made(args.command_line, [path for path in files if path])
 
 
-# --- What a command may write: no output replaces what exists without --force, and no input ever.
+# --- Outputs: none replaces an existing file without --force, and none ever replaces an input.
 
 
 def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], force: bool) -> None:
-    """Refuse outputs that would replace what is there, by an InputError that names both. `targets`:
-    path and kind of each output, by a name for it; `inputs`: files and folders that are read, those
-    of a bag with it, which are never replaced; `force`: whether all else may be."""
+    """Raises InputError: an output would replace an existing file. `targets`: path and kind of each
+    output, by option; `inputs`: files and folders that are read (a bag with its files) and never
+    replaced; `force`: other files may be replaced."""
     seen: dict[Path, str] = {}
     for option, (path, kind) in targets.items():
         other = seen.setdefault(path.resolve(), option)
         if other != option:
-            raise InputError(f"{path}: {other} and {option} name the same, expected two outputs")
+            raise InputError(f"{path}: given for {other} and {option}, expected two paths")
         with errors_in(f"{path}: cannot be written"):  # a name too long
             is_there = path.exists()
         if not is_there or kind == OWN:
@@ -325,7 +325,7 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
             if any(path.samefile(folder) for folder in (given, *above)) or any(
                 own.samefile(folder) for own in bag for folder in path.resolve().parents
             ):
-                raise InputError(f"{path}: an input, or the folder of one, expected a new path")
+                raise InputError(f"{path}: is an input or contains one, expected a new path")
         if kind == NEW:
             raise InputError(f"{path}: exists already, expected a new folder")
         if kind == FOLDER and not path.is_dir():
@@ -340,13 +340,13 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
 
 
 def written_by_nobody_else(paths: Iterable[Path]) -> None:
-    """Refuse outputs that another command is writing, and others these until this one ends."""
+    """Claim outputs until this command ends. InputError: another command is writing one."""
     for path in {path.resolve() for path in paths}:
         click.get_current_context().with_resource(claimed(str(path), "being written already"))
 
 
 def paths_in(values: Iterable[Any]) -> list[Path]:
-    """Files and folders that exist, of the values of a command line."""
+    """The existing files and folders among the values of a command line."""
     words = [w for value in values for w in (value if isinstance(value, tuple) else [value])]
     found = []
     for word in words:

@@ -1,4 +1,4 @@
-"""Pages of records and results, of a comparison, and of the paper redrawn from data."""
+"""Commands that write pages: report, compare, paper."""
 
 import time
 from pathlib import Path
@@ -10,14 +10,13 @@ from sma_bench.commands.terminal import print_findings, print_table, progress, s
 from sma_bench.errors import InputError
 from sma_bench.progress import in_turn, part
 
-_LEAST_SHIFT = 1e-3  # s, worth a line
-# Shares of the time, about: of a report all inputs, of the paper all records read; all compared.
-_READING, _READ, _COMPARED = 0.3, 0.05, 0.5
+_LEAST_SHIFT = 1e-3  # s; smaller clock shifts are not reported
+_READING = 0.3  # share of a report's time after which all inputs are read
+_READ, _COMPARED = 0.05, 0.5  # the same for the paper: records read; experiments done
 
 
 @options.command("report")
 def run_report(args: SimpleNamespace) -> int:
-    """Read everything, then write everything; 0 whatever the inputs say."""
     from sma_bench.report.page import Made, versions
     from sma_bench.report.reports import shown_input, write_collected_report
 
@@ -48,7 +47,7 @@ def run_compare(args: SimpleNamespace) -> int:
 
     column = options.column_of(args)
     if args.signals and not args.out:
-        raise InputError("--signals is what the page shows, expected --out DIR with it")
+        raise InputError("--signals selects what the page shows, expected --out DIR with it")
     with progress("compare") as report:
         report(0.1, "reading and simulating")
         found = compare([load(path, args.namespace) for path in args.records], args.models)

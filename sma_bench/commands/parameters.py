@@ -1,4 +1,4 @@
-"""Parameters and effects as tables, the audit of a lab's own numbers, files to start from."""
+"""Parameters and effects as tables, the audit of a lab's parameters, files to start from."""
 
 import shutil
 from pathlib import Path
@@ -74,13 +74,13 @@ def run_effects(args: SimpleNamespace) -> int:
         print(effects_page(), end="")
     else:
         rows = [(e.name, e.stage, range_of(e.size), e.shows) for e in EFFECTS.values()]
-        print_table(Table(("effect", "stage", "size", "how it shows"), rows))
+        print_table(Table(("effect", "stage", "size", "signs in the data"), rows))
     return 0
 
 
 @options.command("audit")
 def run_audit(args: SimpleNamespace) -> int:
-    """Print every finding; exit code 0 (a clash is a result, not an error)."""
+    """Print every finding. Exit code 0 in any case: a clash is a result, not an error."""
     if args.file and args.params:
         raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")
     args.params = args.params or args.file

@@ -1,4 +1,4 @@
-"""What a record holds, and tables of other loggers as records."""
+"""Commands that read records: info, and import of tables of other loggers."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ _MOST_MARKERS = 20
 
 @options.command("info")
 def run_info(args: SimpleNamespace) -> int:
-    """Print topics, signals and findings. InputError: no record, or another robot's."""
+    """Print topics, signals and findings. InputError: no record, or no bench topics in it."""
     from sma_bench.records import describe, open_records
     from sma_bench.records.open import parse_stated
     from sma_bench.report.tables import record_line, record_tables
@@ -37,14 +37,14 @@ def run_info(args: SimpleNamespace) -> int:
             say("no findings")
         say(description["account"])
     if found[0]["kind"] == "bag" and not found[0]["signals"] + found[0]["markers"]:
-        raise InputError(f"{args.record}: nothing of a bench in it, expected topics of "
+        raise InputError(f"{args.record}: holds no topic of a bench, expected those of "
                          "docs/topics.md, e.g. <channel>/power, joint_states")
     return 0
 
 
 @options.command("import")
 def run_import(args: SimpleNamespace) -> int:
-    """Read every file, then write every bag: a file that is wrong leaves none of them."""
+    """Read all files before writing any bag: if one file is wrong, no bag is written."""
     from sma_bench.parameters import Parameters, read_parameters
     from sma_bench.parameters.parameters import load_kind
     from sma_bench.parameters.yaml_file import write_text_atomically
@@ -56,30 +56,31 @@ def run_import(args: SimpleNamespace) -> int:
     given = maps.read_map(args.map_file) if args.map_file else None
     bench = read_parameters(args.params) if args.params else Parameters.defaults()
     units = dict(options.pair("--unit", text, "COLUMN=UNIT") for text in args.units)
-    # A bag and a map for each file or sheet; no map is in the folder of bags, for `week/*`.
+    # A bag and a map for each file or sheet; maps lie outside the folder of bags, so that `week/*`
+    # means bags only.
     out, tables = Path(args.out), [read_table_file(file) for file in args.files]
     runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in maps.runs_of(t)]
     runs = [(args.files[0], "", maps.together(tables))] if args.together else runs
     stems = [re.sub(r"[^\w.-]+", "_", f"{Path(file).stem} {sheet}".strip()).strip(".") or "run"
              for file, sheet, _ in runs]  # fmt: skip
     if twice := next((stem for stem in stems if stems.count(stem) > 1), ""):
-        raise InputError(f"--out {out}: two files would become {twice}, expected other names")
+        raise InputError(f"--out {out}: two files would both become {twice}, expected other names")
     is_one = len(runs) == 1
     bags = [out if is_one else out / stem for stem in stems]
     paths = [out.with_name(f"{out.name}{'' if is_one else f'.{s}'}.map.yaml") for s in stems]
     inputs = options.paths_in([args.files, args.map_file, args.params])
-    if given is None:  # a map that exists is looked at when it is written
+    if given is None:  # write_map checks maps that exist
         options.keep_safe({str(path): (path, options.FILE) for path in paths}, inputs, True)
     options.keep_safe({str(bag): (bag, options.BAG) for bag in bags}, inputs, args.force)
 
     def write_map(path: Path, text: str) -> None:
-        """Write a proposed map, but not over one that somebody has edited."""
+        """Write a proposed map; one that was edited is replaced with --force only."""
         is_same = path.is_file() and path.read_text(errors="replace") == text
         if path.exists() and not is_same and not args.force:
             raise InputError(f"{path}: exists already; --map {path} uses it, --force replaces it")
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text_atomically(path, text)
-    # Everything is read before anything is written, but for a map that is to be filled in.
+    # Nothing is written before everything is read, except a map that the user must complete.
     read = []
     for (source, _, table), bag, path in zip(runs, bags, paths, strict=True):
         used, asked, remarks = (given, [], {}) if given else maps.propose(table, bench, units)
@@ -90,12 +91,11 @@ def run_import(args: SimpleNamespace) -> int:
             say(str(account))
             more = f" (and {len(asked) - 1} more)" if len(asked) > 1 else ""
             raise InputError(f"{source}: unsure of {asked[0]}{more}: fill it in, then --map {path}")
-        # What is assumed is said, not only written into the map.
         assumed = [f"{name}: {remark}" for name, remark in remarks.items() if " as " in remark]
         converted = maps.convert(table, used, bag)
         read.append((source, path, table, used, text, account, assumed, *converted))
     entries = []
-    imposed = "elongation" if load_kind(bench) == "displacement" else ""  # as no wire moves
+    imposed = "elongation" if load_kind(bench) == "displacement" else ""  # not moved by the wire
     for source, path, table, used, text, account, assumed, record, how in read:
         notes = [*table.notes, *assumed]
         if given is None:

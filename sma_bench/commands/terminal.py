@@ -1,4 +1,4 @@
-"""What commands say: tables that fit, progress with the time left, findings, results as JSON."""
+"""Output of commands: tables that fit, progress with the time left, findings, JSON."""
 
 import sys
 import threading
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 
     from sma_bench.report.tables import Table
 
-# A table is no wider than the terminal, or this in a file; what does not fit is folded, not cut.
-_FOR_FILES = 100  # cells
-_NAME_WHOLE = 36  # cells of the first column, by which one looks things up, that are not folded
-_LEAST, _BETWEEN = 10, 2  # cells of a column that is folded, and between columns
+# Widths in characters. A table that does not fit is folded, not cut.
+_FOR_FILES = 100  # of a table that does not go to a terminal
+_NAME_WHOLE = 36  # of the first column, up to which names in it are not folded
+_LEAST, _BETWEEN = 10, 2  # of a folded column at least; of the space between columns
 _SEVERITIES = {"info": "green", "warning": "yellow", "error": "red"}
-# How far a command is stands on standard error: on a terminal in one line that is written anew,
-# elsewhere in a line now and then; nothing at all where it is over in a moment.
-FIRST_SHOWN, FIRST_LINE, NEXT_LINE, _REFRESH = 1.0, 5.0, 15.0, 0.1  # s
-_LEAST_SHARE = 0.02  # less says nothing of the rest
+# Progress goes to standard error: on a terminal one line, shown after FIRST_SHOWN s and rewritten
+# every _REFRESH s; elsewhere a line after FIRST_LINE s and every NEXT_LINE s.
+FIRST_SHOWN, FIRST_LINE, NEXT_LINE, _REFRESH = 1.0, 5.0, 15.0, 0.1
+_LEAST_SHARE = 0.02  # of the work: before it is done, the time left cannot be estimated
 
 
 def say(text: str) -> None:
-    """Print lines in which names from outside may stand."""
+    """Print lines; unprintable characters, e.g. in names of files, are escaped."""
     print(printable(text, "\n"))
 
 
 def write_json(path: str | None, document: dict[str, Any]) -> None:
-    """Write a result to `path`, "-" standard output, None nowhere. InputError: it cannot be."""
+    """Write a result to `path` ("-": standard output, None: nowhere). InputError: it cannot."""
     if path == STANDARD_OUTPUT:
         print(json_text(document), end="", flush=True, file=results[-1] if results else None)
     elif path:
@@ -45,7 +45,7 @@ def write_json(path: str | None, document: dict[str, Any]) -> None:
 
 
 def output_console() -> "Console":
-    """Standard output; a reader of a pipe who leaves early is a BrokenPipeError."""
+    """A console on standard output. BrokenPipeError: the reader of the pipe has closed it."""
     from rich.console import Console
 
     def leave() -> None:
@@ -59,7 +59,7 @@ def output_console() -> "Console":
 
 
 def print_table(table: "Table") -> None:
-    """Print a table; its numeric columns stand flush right and are folded last."""
+    """Print a table; its numeric columns are flush right and folded last."""
     from rich.cells import cell_len
     from rich.table import Table as Shown
     from rich.text import Text
@@ -70,7 +70,7 @@ def print_table(table: "Table") -> None:
     rows = [[printable(cell, "\n") for cell in row] for row in table.rows]
     columns = [*zip(table.header, *rows, strict=True)]
     full = [max(cell_len(line) for cell in own for line in cell.split("\n")) for own in columns]
-    # Where not all fits, numbers and names keep their width if something is left for the others.
+    # If not all fits, numbers and names keep their width, provided the other columns get _LEAST.
     space, kept = console.width - _BETWEEN * (len(full) - 1), dict[int, int]()
     if sum(full) > space:
         kept = {k: w for k, w in enumerate(full) if k in table.numeric}
@@ -87,7 +87,7 @@ def print_table(table: "Table") -> None:
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
-    """One paragraph a finding, folded to the right of its severity, coloured on a terminal."""
+    """One paragraph per finding, folded to the right of its severity, coloured on a terminal."""
     from rich.table import Column
     from rich.table import Table as Shown
     from rich.text import Text
@@ -101,7 +101,7 @@ def print_findings(findings: Iterable[Finding]) -> None:
 
 
 class WorkState:
-    """How a piece of work goes: the share done, what is being done, and the time left."""
+    """Progress of a piece of work: the share done, the current step, and the time left."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:  # s
         self.share, self.what = 0.0, ""
@@ -109,14 +109,14 @@ class WorkState:
         self._heard = self._begin
 
     def report(self, share: float, what: str = "") -> None:
-        """It never goes back; an empty `what` leaves the last one."""
+        """Update; the share never decreases, an empty `what` keeps the last one."""
         if share > self.share:
             self.share, self._heard = min(share, 1.0), self._clock()
         self.what = printable(what) or self.what
 
     @property
     def left(self) -> float | None:
-        """Time left [s] at the speed so far; None while that is not known."""
+        """Time left [s] at the speed so far; None while it cannot be estimated."""
         if self.share < _LEAST_SHARE:
             return None
         foreseen = (self._heard - self._begin) * (1.0 / self.share - 1.0)
@@ -125,7 +125,7 @@ class WorkState:
 
     @property
     def words(self) -> str:
-        """Share and time left; the time gone where that is all that is known."""
+        """Share and time left, or the time elapsed if the time left is unknown."""
         left = self.left
         seconds = self._clock() - self._begin if left is None else left
         minutes, rest = divmod(round(seconds), 60)
@@ -133,13 +133,13 @@ class WorkState:
         span = f"{minutes} min {rest} s" if minutes else f"{rest} s"
         span = f"{hours} h {minutes} min" if hours else span
         share = f"{self.share:.0%}, " if self.share else ""
-        return f"{share}{span} {'gone' if left is None else 'left'}"
+        return f"{share}{span} {'elapsed' if left is None else 'left'}"
 
 
 @contextmanager
 def progress(title: str, state: WorkState | None = None) -> Iterator[Report]:
-    """Show how far the work inside is, which calls what is yielded. Print nothing on standard
-    output meanwhile: it would run into the line. `state`: of work that has begun already."""
+    """Show the progress that the work inside reports by the yielded function. Print nothing
+    meanwhile: it would run into the line. `state`: of work that has begun already."""
     state, over = state or WorkState(), threading.Event()
 
     def show() -> None:

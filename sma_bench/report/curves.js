@@ -1,5 +1,5 @@
-// Figures over time: values under the pointer, and a closer look by dragging, by the dashboard's
-// uPlot. Without this script, and on paper, the picture stands there instead.
+// Interactive figures over time, by uPlot: values under the pointer, zoom by dragging. Without this
+// script, and in print, the page shows the picture instead.
 "use strict";
 document.querySelectorAll("figure.curves script").forEach((source, number) => {
   const figure = source.parentElement;
@@ -36,7 +36,7 @@ function short(value) {
   return String(Number(value.toPrecision(4)));
 }
 
-// What may be noise, and the steps of the protocol.
+// Draws the noise bands and the steps of the protocol.
 function background(plot, { bands, marks }) {
   const { ctx, bbox } = plot;
   ctx.save();

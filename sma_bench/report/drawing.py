@@ -1,4 +1,4 @@
-"""Figures: the look that all share, their curves as data for a script and a table, and in print."""
+"""Common style of all figures, their curves as data for the page's script and CSV, and in print."""
 
 import copy
 import math
@@ -19,28 +19,28 @@ from matplotlib.ticker import AutoLocator, FuncFormatter
 from sma_bench.arrays import Array
 
 MEASURED, SECOND, MODEL, FAINT = "#1f4e79", "#c0504d", "#e08214", "#8a8a8a"
-BAND = "band"  # gid of the bands of noise, which the page's script draws too
-_LARGEST = 1e100  # an axis that is longer cannot be divided
-# Lines side by side, told apart by lightness, dash and mark, not by hue alone.
+BAND = "band"  # gid of noise bands, so that the page's script can draw them too
+_LARGEST = 1e100  # matplotlib cannot place ticks on a longer axis
+# Lines in one graph differ in lightness, dash and marker, not in hue alone.
 _LINES = (("#0b3c5d", "-", "o"), ("#b5402f", "--", "s"), ("#2f8f83", "-.", "^"),
           ("#d99a2b", ":", "D"), ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"),
           ("#4a4a4a", (0, (1, 1)), "P"))
 _MARKS_OF_A_LINE = 6
-MOST_POINTS = 1000  # of a line, least and largest of equal parts; the figure's CSV has more
+MOST_POINTS = 1000  # of a line in the page's script (see `thinned`); the CSV has all
 _DASHES = {"-": [], "None": [], "": [], "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0],
            ":": [1.5, 3.0]}
-_WIDE = 2.0
+_WIDE = 2.0  # pt: wider lines are drawn wide by the script
 CURVE_HEADER = ("panel", "curve", "across", "x", "y")
 _INCH = 25.4  # mm
-_LEAST_FONT, _TALLEST = 5.0, 9.5  # pt; inches, of a page
+_LEAST_FONT, _TALLEST = 5.0, 9.5  # pt; inches, height of a figure on a page
 
 
 def line_style(k: int, of: int, points: int) -> dict[str, Any]:
-    """Look of line `k` of `of` that share axes, `points` long; a line alone is plain."""
+    """Style of line `k` of `of` in the same axes, `points` long; a single line is plain."""
     colour, dash, mark = _LINES[k % len(_LINES)]
     if of == 1:
         return {"color": colour, "lw": 0.9}
-    # Marks of different lines lie side by side, also where the lines coincide.
+    # Markers of different lines are staggered, so that coinciding lines can be seen.
     every = max(points // _MARKS_OF_A_LINE, 1)
     first = min((every * (2 * k + 1)) // (2 * of), max(points - 1, 0))
     return {"color": colour, "lw": 1.1, "ls": dash, "marker": mark, "ms": 4, "mfc": "white",
@@ -49,7 +49,7 @@ def line_style(k: int, of: int, points: int) -> dict[str, Any]:
 
 def new_figure(rows: int = 1, height: float = 4.0, shared: bool = True,
                heights: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
-    """A figure without pyplot's global state: `rows` axes above each other, in these `heights`."""
+    """A figure (without pyplot) of `rows` axes above each other, with relative `heights`."""
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=shared, squeeze=False, height_ratios=heights)[:, 0]
     plain_axes(*axes)
@@ -58,7 +58,7 @@ def new_figure(rows: int = 1, height: float = 4.0, shared: bool = True,
 
 def graph(across: str, up: str, curves: Iterable[tuple[Any, Any, Mapping[str, Any]]] = (),
           height: float = 4.0, **legend: Any) -> tuple[Figure, Axes]:
-    """A figure of one graph: what its axes are, curves as x, y and style, and their legend."""
+    """A figure of one graph: labels of its axes, curves as (x, y, style), options of the legend."""
     figure, (ax,) = new_figure(height=height)
     ax.set(xlabel=across, ylabel=up)
     for x, y, style in curves:
@@ -69,21 +69,21 @@ def graph(across: str, up: str, curves: Iterable[tuple[Any, Any, Mapping[str, An
 
 
 def read_and_error(signals: int, height: float) -> tuple[Figure, list[tuple[Axes, Axes]]]:
-    """A figure over time with two graphs a signal, the lower one for differences."""
+    """A figure over time with two graphs per signal, the lower one for differences."""
     figure, axes = new_figure(2 * signals, height, heights=(1.6, 1.0) * signals)
     axes[-1].set_xlabel("time [s]")
     return figure, list(zip(axes[::2], axes[1::2], strict=True))
 
 
 def named_rows(ax: Axes, names: Sequence[str]) -> Array:
-    """A row a name, from above: (n,) where they are."""
+    """Label rows with names, from the top; their positions (n,) on the y axis."""
     place = np.arange(len(names), dtype=np.float64)[::-1]
     ax.set_yticks(place, names, fontsize=8)
     return place
 
 
 def cell_texts(ax: Axes, texts: Mapping[tuple[int, int], tuple[str, bool]], size: float) -> None:
-    """Numbers in the cells of a map, by row and column: text, and whether its colour is dark."""
+    """Write texts into the cells of a map, by (row, column): text, and whether the cell is dark."""
     for (row, column), (text, is_dark) in texts.items():
         ax.text(column, row, text, ha="center", va="center", fontsize=size,
                 color="white" if is_dark else "black")
@@ -91,32 +91,32 @@ def cell_texts(ax: Axes, texts: Mapping[tuple[int, int], tuple[str, bool]], size
 
 
 def plain_axes(*axes: Axes) -> None:
-    """A faint grid and no lines above and to the right."""
+    """A faint grid; no frame at the top and right."""
     for ax in axes:
         ax.grid(alpha=0.25)
         ax.spines[["top", "right"]].set_visible(False)
 
 
 def drawable(values: Array) -> Array:
-    """Values (n,) without those so large that an axis cannot be divided."""
+    """Values (n,), NaN where they are too large for an axis."""
     return np.where(np.abs(values) < _LARGEST, values, np.nan)
 
 
 def legend_above(ax: Axes) -> None:
-    """Its labels in a line above the axes, where no curve can lie."""
+    """The legend in a line above the axes, where it hides no curve."""
     ax.legend(fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4,
               borderaxespad=0.2)
 
 
 def plain(figure: Figure) -> Figure:
-    """Names from files are no formulas: a dollar sign stays one."""
+    """Texts without math: a dollar sign in a name from a file stays a dollar sign."""
     for text in figure.findobj(Text):
         text.set_parse_math(False)  # type: ignore[attr-defined]
     return figure
 
 
 def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
-    """At most `most` points with every peak: least and largest of equal parts."""
+    """At most `most` points that keep every peak: minimum and maximum of equal stretches."""
     if len(x) <= most:
         return x, y
     kept: list[int] = []
@@ -129,17 +129,17 @@ def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
 
 
 def curves_of(figure: Figure) -> list[dict[str, Any]]:
-    """Of each axes, for JSON: `title`, `x_label`, `marks` (vertical lines), `bands` (low, high) and
-    `lines`: `label`, `colour` (#rrggbb), `dash` (pixels), `wide`, `x`, `y` (None: a gap)."""
+    """The curves of each axes, for JSON: `title`, `x_label`, `marks` (vertical lines), `bands`
+    (low, high), `lines`: `label`, `colour` (#rrggbb), `dash` (px), `wide`, `x`, `y` (None: gap)."""
     curves: list[dict[str, Any]] = []
-    labels: dict[str, str] = {}  # of lines alike in the axes above
+    labels: dict[str, str] = {}  # by style; lines without label take that of the axes above
     for ax in figure.axes:
         lines, marks, bands = [], [], []
         for line in ax.lines:
             x, y = (np.asarray(values, dtype=float) for values in line.get_data())
-            if line.get_transform() != ax.transData:  # across the axes
+            if line.get_transform() != ax.transData:  # a line across the whole axes
                 marks += [float(f"{x[0]:.6g}")] if len(set(x)) == 1 else []
-            elif len(x) > 1:  # else a mark on another line
+            elif len(x) > 1:  # a single point is a marker on another line
                 x, y = thinned(x, y, MOST_POINTS)
                 style, colour = str(line.get_linestyle()), to_hex(line.get_color())
                 label = _label(line)
@@ -161,7 +161,7 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
 
 @cache
 def script() -> str:
-    """The script that draws them, to stand in a page: the dashboard's own uPlot, and its use."""
+    """The page's script that draws the curves: uPlot, as in the dashboard, and curves.js."""
     own = resources.files("sma_bench.report").joinpath("curves.js").read_text(encoding="utf-8")
     plot = resources.files("sma_bench.dashboard").joinpath("uPlot.min.js").read_text("utf-8")
     return f"{plot}\n{own}"
@@ -177,7 +177,7 @@ def _title(ax: Axes) -> str:
 
 
 def curve_rows(figure: Figure) -> list[tuple[str, ...]]:
-    """Its curves point by point, a row each, as `CURVE_HEADER`; an empty y is a gap."""
+    """The curves as rows of `CURVE_HEADER`, one per point; an empty y is a gap."""
     across = next((ax.get_xlabel() for ax in reversed(figure.axes) if ax.get_xlabel()), "")
     rows: list[tuple[str, ...]] = []
     for ax in figure.axes:
@@ -186,7 +186,7 @@ def curve_rows(figure: Figure) -> list[tuple[str, ...]]:
             texts = (tick.get_text() for tick in ax.get_yticklabels())
             names = dict(zip(map(float, ax.get_yticks()), texts, strict=False))
         for line in ax.lines:
-            # Not a mark across the axes, nor the end of an error bar.
+            # Leave out lines across the axes and caps of error bars.
             if line.get_transform() == ax.transData and line.get_marker() not in ("|", "_"):
                 head = _title(ax), _label(line), ax.get_xlabel() or across
                 xs, ys = (np.asarray(values, dtype=float) for values in line.get_data())
@@ -196,7 +196,7 @@ def curve_rows(figure: Figure) -> list[tuple[str, ...]]:
 
 
 class PaperColumn(NamedTuple):
-    """Where a figure is to stand in print: width [mm] and size of its letters [pt]."""
+    """A printed column: width [mm] and font size [pt]."""
 
     width: float = 183.0
     font: float = 8.0
@@ -206,7 +206,7 @@ COLUMNS = {"single": PaperColumn(89.0, 7.0), "double": PaperColumn()}
 
 
 def in_column(figure: Figure, column: PaperColumn) -> Figure:
-    """A copy in another width, as high in proportion but no less than its letters need."""
+    """A copy in the column's width and font; its height shrinks less, to leave room for text."""
     shown = copy.deepcopy(figure)
     width, height = (float(length) for length in shown.get_size_inches())
     new = column.width / _INCH

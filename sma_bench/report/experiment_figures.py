@@ -1,4 +1,4 @@
-"""Figures of the paper's experiments, drawn from the curves of each identified one."""
+"""Figures of the paper's experiments, drawn from the curves of their results."""
 
 import re
 from collections.abc import Callable
@@ -25,12 +25,12 @@ from sma_bench.results import scale_of, with_error
 Curve = tuple[Any, Any, dict[str, Any]]
 
 _PLATEAUS = {
-    # Figs. 2 and 3: name, quantity, its axis, parameter, symbol and unit.
+    # Figs. 2 and 3: name of the figure, quantity, label of its axis, parameter, symbol, unit.
     "E1": ("figure_02_resistance", "current", "current [A]", "wire.resistance", "R", "ohm"),
     "E2": ("figure_03_heat_transfer", "temperature", "steady temperature [K]",
            "wire.heat_transfer_coefficient", "h", "W/(m² K)")}
-_JUMP = 0.2  # V between two samples
-# Transitions: parameters at zero stress and of the line, colour, marker.
+_JUMP = 0.2  # V between two samples: more is a jump, not a ramp
+# Transitions: parameter at zero stress; of the slope; colour; marker.
 _AUSTENITE = ("wire.stress_influence_austenite", SECOND)
 _MARTENSITE = ("wire.stress_influence_martensite", MEASURED)
 _TRANSITIONS = {
@@ -38,23 +38,23 @@ _TRANSITIONS = {
     "A_f": ("wire.austenite_finish_temperature", *_AUSTENITE, "s"),
     "M_s": ("wire.martensite_start_temperature", *_MARTENSITE, "^"),
     "M_f": ("wire.martensite_finish_temperature", *_MARTENSITE, "v")}
-_SEVERAL = 4  # tests, beyond which each has its colour
-_DRAWN = 2000  # points of a curve
-_LINE_STRAIN, _BEYOND = 0.012, 0.9  # length of a modulus' line, and of the highest stress
+_SEVERAL = 4  # tests; if there are more, each has its own colour
+_DRAWN = 2000  # points of a curve, about
+_LINE_STRAIN, _BEYOND = 0.012, 0.9  # strain, or share of the top stress, at which E's line ends
 _FITTED = ("deflection", "force", "elongation", "temperature", "current")
-_AROUND = 12.0  # K, how far the steady states of E11 are drawn
-_ROWS = 4  # signals of a fit that are drawn, in this order
+_AROUND = 12.0  # K about the operating point, over which steady states of E11 are drawn
+_ROWS = 4  # signals of a fit that are drawn, in the order of _FITTED
 
 
 def _marks(marker: str, colour: str, label: str | None = None, **more: Any) -> dict[str, Any]:
-    """Points as open marks, or as a cloud of dots."""
+    """Style of points: open markers, or small dots for marker "."."""
     size = 2.0 if marker == "." else 6.0
     look = {"marker": marker, "ls": "", "ms": size, "color": colour, "label": label, **more}
     return look if marker == "." else {"mfc": "none", **look}
 
 
 def plateau_picture(experiment: Experiment) -> Picture:
-    """Figs. 2 and 3: plateau means over voltage, heating and cooling apart, and the fitted line."""
+    """Figs. 2 and 3: plateau means over voltage, for heating and cooling, and the fitted line."""
     name, quantity, axis, parameter, symbol, unit = _PLATEAUS[experiment.name]
     estimate, curves = experiment.estimates[parameter], experiment.curves
     up = curves["heating"] > 0.5
@@ -69,7 +69,7 @@ def plateau_picture(experiment: Experiment) -> Picture:
 def ramp_picture(e3: Experiment) -> Picture:
     """Fig. 4: temperature over voltage during the ramps of E3, with the fitted response."""
     volts = e3.curves["voltage"]
-    # No line across the jump to 0 V at a ramp's end: nothing happens there.
+    # Draw no model line across the jump to 0 V at the end of a ramp.
     jump = np.abs(np.diff(volts, append=volts[-1])) > _JUMP
     figure, _ = graph("voltage [V]", "temperature [K]", (
         (volts, e3.curves["temperature"], _marks(".", MEASURED, "measured")),
@@ -93,8 +93,8 @@ def slope_picture(e3: Experiment) -> Picture:
 
 
 def validation_picture(record: Record, parameters: Parameters) -> Picture:
-    """Fig. 6: a triangular voltage, measured temperature and the simulation of eq. (2), of a record
-    that no parameter was fitted to. InputError: it lacks the wire's voltage or temperature."""
+    """Fig. 6: a triangular voltage, the measured temperature and the simulation of eq. (2), for a
+    hold-out record. InputError: it lacks the wire's voltage or temperature."""
     channel = parameters["bench.channels"][0]
     time, voltage = held_voltages(record, [channel])
     measured = record[f"{channel}.temperature"]
@@ -116,13 +116,13 @@ def validation_picture(record: Record, parameters: Parameters) -> Picture:
 
 
 def dsc_picture(e5: Experiment) -> Picture:
-    """Fig. 7: heat flow over temperature, endothermic up, by cycle, with tangents and crossings."""
+    """Fig. 7: heat flow over temperature, endothermic up, per cycle, with tangents and onsets."""
     figure, ax = graph("temperature [K]", "heat flow, endothermic up [W/kg]", height=4.8)
     colours, counts = (MEASURED, SECOND, "#2e7d32", "#7b4ea3"), {1.0: 0, -1.0: 0}
     for scan in [m[1] for key in e5.curves if (m := re.match(r"(.*segment_\d+)/heat_flow\Z", key))]:
         of = {n.removeprefix(f"{scan}/"): curve for n, curve in e5.curves.items()}
         onsets = {end: e5.details[f"{scan}/{end}"].value for end in ("start", "finish")}
-        # The curves have their peaks upward; a graph of the run has cooling below.
+        # All curves have their peak upward; in the figure, cooling is drawn downward.
         is_cooling = onsets["start"] >= onsets["finish"]
         symbols, sign = (("M_s", "M_f"), -1.0) if is_cooling else (("A_s", "A_f"), 1.0)
         number = counts[sign] = counts[sign] + 1
@@ -133,7 +133,7 @@ def dsc_picture(e5: Experiment) -> Picture:
             for part in ("baseline", "tangent"):
                 across, up = of[f"{end}/{part}_temperature"], sign * of[f"{end}/{part}"]
                 ax.plot(across, up, color=MODEL, lw=0.8)
-            # One row of labels a cycle: the onsets of cycles may coincide.
+            # Labels in one row per cycle, because onsets of cycles may coincide.
             place = (onset, sign * float(of[f"{end}/tangent"][0]))
             ax.plot(*place, **_marks("o", colour, ms=5))
             ax.annotate(f"${symbol}$ ({number})", place, (0, -9.5 * sign * number), fontsize=8,
@@ -145,18 +145,18 @@ def dsc_picture(e5: Experiment) -> Picture:
 
 
 def has_diagram(e6: Experiment) -> bool:
-    """Whether several stresses were tested."""
+    """True if several stresses were tested."""
     return any(len(e6.curves[f"diagram/{name}/stress"]) > 1 for name in _TRANSITIONS)
 
 
 def upfr_picture(e6: Experiment) -> Picture:
-    """Fig. 8: contraction over temperature under a held load, with tangents and their crossings."""
+    """Fig. 8: contraction over temperature under constant load, with tangents and crossings."""
     branches: dict[tuple[str, str, str], dict[str, Array]] = {}  # by test, cycle, direction
     for key, values in e6.curves.items():
         if not key.startswith("diagram/"):
             test, cycle, direction, quantity = key.rsplit("/", 3)
             branches.setdefault((test, cycle, direction), {})[quantity] = values
-    # Contraction counts from the strain of a test where it is coldest.
+    # Contraction is measured from the strain of the coldest tenth of a test.
     tests, zeros = list(dict.fromkeys(test for test, _, _ in branches)), {}
     for one in tests:
         mine = [curves for (test, _, _), curves in branches.items() if test == one]
@@ -176,7 +176,7 @@ def upfr_picture(e6: Experiment) -> Picture:
         ax.plot(curves["temperature"][::step], 100.0 * (zeros[test] - curves["strain"][::step]),
                 style, color=colour, lw=1.2, alpha=0.75, label=None if label in labelled else label)
         labelled.add(label)
-    # Tangents and cosine of the test in the middle: those of all would hide the curves.
+    # Tangents and cosines of one test only, the middle one: those of all would hide the curves.
     shown = tests[len(tests) // 2]
     first = next(cycle for test, cycle, _ in branches if test == shown)
     tangents = {**_marks("o", FAINT, ms=4), "ls": ":", "markevery": [1, 2], "zorder": 3}
@@ -185,7 +185,7 @@ def upfr_picture(e6: Experiment) -> Picture:
         for part, look in looks.items() if (test, cycle) == (shown, first) else ():
             kelvin, strain = curves[part].T
             ax.plot(kelvin, 100.0 * (zeros[shown] - strain), lw=1.2, **look)
-    # A_s and A_f under the load, where one load was tested.
+    # A_s and A_f under the load, if only one load was tested.
     for name, style in (("A_s", ":"), ("A_f", "-.")):
         means = [e for key, e in e6.details.items() if key.startswith(f"{name} (tangent) at ")]
         if len(means) == 1:
@@ -198,7 +198,7 @@ def upfr_picture(e6: Experiment) -> Picture:
 
 
 def stress_temperature_picture(e6: Experiment) -> Picture:
-    """Transition temperatures over stress with the lines whose slopes are 1/C_A and 1/C_M."""
+    """Transition temperatures and stresses, with lines of the slopes C_A and C_M."""
     figure, ax = graph("temperature [K]", "stress [MPa]", height=4.6)
     for name, (at_zero, influence, colour, marker) in _TRANSITIONS.items():
         stress, kelvin, std = (e6.curves[f"diagram/{name}/{quantity}"]
@@ -218,7 +218,7 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
 
 
 def tensile_picture(e7: Experiment) -> Picture:
-    """Fig. 9: stress over strain of both phases with the slopes that are E_M and E_A."""
+    """Fig. 9: stress over strain of both phases, with lines of the slopes E_M and E_A."""
     curves: list[Curve] = []
     seen: set[str] = set()
     for test in [key.rpartition("/")[0] for key in e7.curves if key.endswith("/stress")]:
@@ -230,7 +230,7 @@ def tensile_picture(e7: Experiment) -> Picture:
         if phase in seen:
             del look["label"]
         elif SYMBOLS[symbol] in e7.estimates:
-            # The line begins where the part that gave the modulus does.
+            # The line begins where the fitted part of the curve begins.
             modulus = e7.estimates[SYMBOLS[symbol]]
             after = phase == "martensite" and f"{symbol} after the plateau" in e7.details
             begins = max(e7.details[f"{phase} {'plateau end' if after else 'toe'}"].value, 0.0)
@@ -264,7 +264,7 @@ def thermal_expansion_picture(e8: Experiment) -> Picture:
 
 
 def constitutive_picture(e9: Experiment) -> Picture:
-    """Strain over temperature of every loop with the fitted law."""
+    """Strain over temperature of every loop, with the fitted law."""
     curves: list[Curve] = []
     loops = [key.removesuffix("/model") for key in e9.curves if key.endswith("/model")]
     for k, loop in enumerate(loops):
@@ -278,10 +278,10 @@ def constitutive_picture(e9: Experiment) -> Picture:
 
 
 def bench_fit_pictures(e10: Experiment) -> list[Picture]:
-    """Signals over time with the fitted simulation, and 90 % of another such run's readings."""
+    """Signals over time, the fitted simulation, and limits for 90 % of a new run's readings."""
     observations = e10.laws[0].fit.problem.observations if e10.laws else ()
     bands = [predict(e10.laws, one) for one in observations]
-    records: dict[str, list[tuple[str, str]]] = {}  # signals with their quantity
+    records: dict[str, list[tuple[str, str]]] = {}  # (quantity, signal), by number of the record
     for signal in (key.removesuffix(".model") for key in e10.curves if key.endswith(".model")):
         head, _, rest = signal.partition(".")
         quantity = last if (last := signal.rpartition(".")[2]) in _FITTED else "current"
@@ -300,7 +300,7 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
             if bands:
                 band = bands[int(head or 0)][name]
                 limits: dict[str, Any] = {"color": FAINT, "lw": 0.8, "ls": "--"}
-                ax.plot(band.time, factor * band.low, **limits, label="90 % of another run")
+                ax.plot(band.time, factor * band.low, **limits, label="90 % of a new run")
                 ax.plot(band.time, factor * band.high, **limits)
             ax.set(ylabel=f"{name}\n[{unit}]")
             ax.legend(fontsize=8)
@@ -345,7 +345,7 @@ def experiment_pictures(experiment: Experiment) -> list[Picture]:
     """Pictures of one identified experiment, drawn from its curves."""
     if experiment.name == "E9" and any(name.endswith("/model") for name in experiment.curves):
         return [constitutive_picture(experiment)]
-    if experiment.name in ("E0", "E9", "E10"):  # signals over time, in E9 of a load frame's bags
+    if experiment.name in ("E0", "E9", "E10"):  # signals over time; E9: from bags of a load frame
         return bench_fit_pictures(experiment)
     found = [picture_of(experiment) for picture_of in _PICTURES.get(experiment.name, ())]
     if experiment.name == "E6" and has_diagram(experiment):

@@ -34,8 +34,8 @@ _MARK = b'<meta name="generator" content="sma_bench">'
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with its file name, title and caption (equation and data source); one that is
-    `over_time` answers to the pointer where the page may run its script."""
+    """A figure with its file name, title and caption (equation and data source); with `over_time`
+    the page's script draws it anew, with readings under the pointer."""
 
     name: str
     title: str
@@ -48,17 +48,17 @@ class Picture:
 
     @cached_property
     def content(self) -> bytes:
-        """The figure as a PNG file; drawing takes its time, so it is drawn once."""
+        """The figure as a PNG file; cached, because drawing is slow."""
         return self._file(self.figure, "png")
 
     def files(self, column: PaperColumn) -> dict[str, bytes]:
-        """SVG and PDF in the width of a column, their text as text, and its curves as CSV."""
+        """SVG and PDF in the width of a column (text stays text), and the curves as CSV."""
         shown = drawing.in_column(self.figure, column)
         kinds = ("svg", "pdf", "csv") if drawing.curve_rows(self.figure) else ("svg", "pdf")
         return {f"{self.name}.{kind}": self._file(shown, kind) for kind in kinds}
 
     def save(self, path: str | Path, column: PaperColumn = COLUMNS["double"]) -> None:
-        """Write PNG, SVG or PDF in a column's width, or CSV. InputError: no such kind, no place."""
+        """Write PNG, SVG or PDF in a column's width, or CSV. InputError: suffix, or no access."""
         path = Path(path)
         kind = path.suffix[1:].lower()
         if kind not in ("png", "svg", "pdf", "csv"):
@@ -70,7 +70,6 @@ class Picture:
             border.write_files({path: content})
 
     def _repr_png_(self) -> bytes:
-        """What a notebook shows."""
         return self.content
 
     def _file(self, figure: Figure, kind: str, dpi: float = 130) -> bytes:
@@ -86,7 +85,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A drawing that ships with the package as SVG; it has no size of its own."""
+    """An SVG drawing that ships with the package; it has no fixed size."""
 
     name: str
     title: str
@@ -100,21 +99,21 @@ class Drawing:
 
 @cache
 def captions() -> dict[str, dict[str, str]]:
-    """Of every figure title, caption, and what its data are where they are synthetic."""
+    """Title, caption, and origin of synthetic data, by figure."""
     found: dict[str, dict[str, str]] = border.read_yaml(Path(__file__).with_name("captions.yaml"))
     return found
 
 
 def pictured(key: str, figure: Figure, name: str = "", over_time: bool = False,
              **facts: object) -> Picture:
-    """A figure with the title and caption of `key` in captions.yaml, in which the facts stand."""
+    """A figure with title and caption from `key` in captions.yaml, filled in with `facts`."""
     title, caption = (captions()[key][part].format(**facts) for part in ("title", "caption"))
     return Picture(name or key, title, caption, figure, over_time)
 
 
 @dataclass(frozen=True)
 class Section:
-    """What stands below a heading, in this order, a card first; of `folded` one line is seen."""
+    """The contents below a heading, card first; of `folded` only the first line shows at once."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -127,7 +126,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Made:
-    """What a page was made of: the command as typed, and its inputs, read anew for their hashes."""
+    """Provenance of a page: the command as typed, and its inputs, which are hashed."""
 
     command: str = ""
     inputs: Sequence[str] = ()
@@ -137,12 +136,12 @@ class Made:
 def write_report(directory: str | Path, title: str, summary: str, sections: Sequence[Section],
                  made: Made | None = None, *, column: PaperColumn | None = None,
                  report: Report = silent) -> Path:
-    """Write `index.html` (everything inside, all text escaped) and one PNG a figure; its path. All
-    files appear, or none: a report that lies there already is replaced as a whole, other files are
-    not. `made` adds the date to the head, and a last section with the inputs' hashes; for a paper's
-    `column` every figure is written as SVG and PDF too, and as CSV its curves and the named
-    tables; `report` hears of each figure. Raises InputError: the folder cannot be written or holds
-    another file of a report's name, an input is gone, or a report is being written there."""
+    """Write `index.html` (self-contained, all text escaped) and one PNG per figure; its path. All
+    files are written, or none; an existing report is replaced as a whole, other files are kept.
+    `made` adds the date to the summary, and a last section with the hashes of the inputs. With
+    `column`, every figure is also written as SVG and PDF, and its curves and the named tables as
+    CSV. `report` is called for each figure. Raises InputError: the folder cannot be written or has
+    a foreign file of the same name, an input is gone, or another report is being written there."""
     directory = Path(directory)
     with border.claimed(os.path.realpath(directory), "being written as a report already"):
         if made is not None:
@@ -157,7 +156,7 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
         if column is not None:
             tables = [t for section in sections for t in section.tables if t.name]
             files |= {f"{table.name}.csv": csv_text(table) for table in tables}
-        # Nothing from elsewhere, and no other script than the page's own.
+        # The page loads nothing from elsewhere and runs no script but its own, by its hash.
         own = base64.b64encode(hashlib.sha256(drawing.script().encode()).digest()).decode("ascii")
         script = drawing.script() if any(picture.over_time for picture in pictures) else ""
         style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
@@ -172,7 +171,7 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,
-        # Names from outside without what ends or turns a text.
+        # Names from files may contain control characters.
         finalize=lambda shown: border.printable(shown, "\n").replace(" +- ", " ± ")
         if type(shown) is str else shown)
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
@@ -180,7 +179,7 @@ def _template() -> jinja2.Template:
 
 
 def csv_text(table: Table) -> bytes:
-    """A table as a CSV file, in which no text is a formula to a spreadsheet."""
+    """A table as a CSV file; no text is taken for a formula by a spreadsheet."""
     text = io.StringIO()
     rows = [map(border.csv_cell, row) for row in (table.header, *table.rows)]
     csv.writer(text, lineterminator="\n").writerows(rows)
@@ -188,13 +187,13 @@ def csv_text(table: Table) -> bytes:
 
 
 def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
-    """All of them, or none: then the folder is as it was."""
+    """Write all files, or leave the folder as it was."""
     new, page, is_report = not os.path.exists(directory), directory / _PAGE, False
     with suppress(InputError, OSError):
         is_report = page.exists() and _MARK in border.read_bytes(page, _LARGEST_PAGE)
     if foreign := [] if is_report else [n for n in files if os.path.exists(directory / n)]:
-        raise InputError(f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; "
-                         "expected another folder")
+        raise InputError(f"{directory}: holds {foreign[0]}, which is not part of a report of "
+                         "sma-bench; expected another folder")
     try:
         directory.mkdir(parents=True, exist_ok=True)
         border.write_files({directory / name: content for name, content in files.items()})
@@ -205,8 +204,8 @@ def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
 
 
 def digest(path: Path) -> tuple[str, int]:
-    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files
-    inside. Raises InputError: a file cannot be read."""
+    """SHA-256 and size in bytes of a file, or of all names and files inside a folder. Raises
+    InputError: a file cannot be read."""
     total, size = hashlib.sha256(), 0
     with errors_in(f"{path}: cannot be read"):
         inside = sorted(p for p in path.rglob("*") if p.is_file() and border.is_inside(p, path))
@@ -223,7 +222,7 @@ def digest(path: Path) -> tuple[str, int]:
 
 @cache
 def versions() -> dict[str, str]:
-    """Of this package, what it computes with, Python and the machine."""
+    """Versions of this package, the numerical libraries, Python and the system."""
     found = {"sma_bench": VERSION, "Python": platform.python_version()}
     for name in ("numpy", "scipy", "numba", "matplotlib", "rosbags"):
         try:
@@ -234,13 +233,13 @@ def versions() -> dict[str, str]:
 
 
 def _provenance(made: Made) -> Section:
-    """Files, versions and the command; what was never a file has no hash."""
+    """The last section: files with their hashes, versions and the command."""
     rows = [(path, *map(str, digest(Path(path)) if Path(path).exists() else ("not a file", 0)))
             for path in dict.fromkeys(made.inputs)]
     when = made.when.astimezone().isoformat(timespec="seconds")
     about = {"command": made.command, "made": when, **versions()}
     files = Table(("file", "SHA-256", "bytes"), rows, frozenset({2}), "provenance_files", "Files")
     by = Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by")
-    text = "Made of the package's own numbers: no file was read." if not rows else (
+    text = "Made from the package's own numbers; no file was read." if not rows else (
         "A folder's hash covers the names, sizes and contents of its files in alphabetical order.")
     return Section("Provenance", [text], tables=[files, by] if rows else [by])

@@ -1,4 +1,4 @@
-"""What records, overlays and results look like, for `plot()` and reports."""
+"""Figures of records, simulations, overlays and results, for `plot()` and reports."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -28,7 +28,7 @@ Curves = list[tuple[str, Array, Array]]  # label, time, values
 
 _MOST_DRAWN, _MOST_MARKERS = 3000, 40
 _QUANTITIES = ("voltage_command", "voltage", "current", "temperature", "deflection", "range",
-               "elongation", "force")  # from above
+               "elongation", "force")  # from top to bottom
 # States of a simulation: label and factor from SI to its unit.
 _STATES = {
     "voltage": ("voltage\n[V]", 1.0), "current": ("current\n[A]", 1.0),
@@ -37,17 +37,17 @@ _STATES = {
 STAGE_COLOURS = {"electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
                  "mechanical": "#2a7f62", "sensor": "#1f4e79"}
 _TWO_STAGES = "#4a4a4a"
-_LINEAR = 3.0  # nats, within which the axis of evidence is linear
-_AS_BAD = 20.0  # nats below recalibration, where bars are cut
+_LINEAR = 3.0  # nats: the axis of evidence is linear up to here, then logarithmic
+_AS_BAD = 20.0  # nats below recalibration, at which bars are cut
 PHASES = ("initial", "drive", "rest")
-_LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
-_DARK = 0.65  # of the colours, from where on letters are white
-_MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # of all that is missing
+_LOWEST, _HIGHEST = 0.1, 30.0  # times the noise, ends of the colour scale
+_DARK = 0.65  # of the colour scale: darker cells have white text
+_MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # pictures; share of the residual that is worth one
 
 
 def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
-    """Every signal over time, or those that are named, a row a quantity, long ones by least and
-    largest of each stretch; None without any."""
+    """All signals over time, or those in `what`, one row per quantity; None if there are none. Long
+    signals are drawn by minimum and maximum of each stretch."""
     rows: list[tuple[str, Curves]] = []
     for quantity in _QUANTITIES:
         unit, factor = scale_of(quantity)
@@ -71,7 +71,7 @@ def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Pictu
 
 def _over_time(rows: Sequence[tuple[str, Curves]],
                markers: Sequence[tuple[float, str]] = ()) -> Figure:
-    """A graph a row, long signals by least and largest of each stretch; markers: protocol steps."""
+    """One graph per row; long signals are thinned. `markers`: steps of the protocol."""
     figure, axes = draw.new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
         for k, (curve, time, values) in enumerate(curves):
@@ -82,7 +82,7 @@ def _over_time(rows: Sequence[tuple[str, Curves]],
     if len(rows[most][1]) > 1:
         figure.legend(*axes[most].get_legend_handles_labels(), fontsize=8, frameon=False, ncols=4,
                       loc="outside upper right")
-    # Steps of the protocol; names that would lie over each other are left out.
+    # Steps of the protocol; a name that would overlap the one before is left out.
     room, named = float(np.ptp(axes[0].get_xlim())) / 12.0, -np.inf
     for at, text in markers if len(markers) <= _MOST_MARKERS else ():
         for ax in axes:
@@ -96,7 +96,7 @@ def _over_time(rows: Sequence[tuple[str, Curves]],
 
 
 def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Picture | None:
-    """Voltages, states and motion over time; None where nothing of that name is there."""
+    """Voltages, states and motion over time; None if `what` names none of them."""
     channels, rows = simulation.parameters["bench.channels"], list[tuple[str, Curves]]()
     for state, (label, factor) in _STATES.items():
         values = factor * getattr(simulation, state).reshape(len(simulation.time), -1)
@@ -110,8 +110,8 @@ def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Pict
 
 
 def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
-    """Of each quantity the signal that differs most, or those that are named: all records, below
-    them the differences from the first. Raises InputError: the records share nothing like that."""
+    """Per quantity the signal that differs most, or those in `what`: all records, and below them
+    their differences from the first. Raises InputError: the records share no such signal."""
     worst: dict[str, str] = {}
     for d in found.differences:
         quantity = d.signal.rpartition(".")[2]
@@ -150,7 +150,7 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
 
 
 def agreement_picture(result: Identification, name: str = "agreement") -> Picture | None:
-    """How far each number is off what was stated, its errors, and how far the records inform it."""
+    """Each estimate minus its stated value, its errors, and how far the records inform it."""
     known = {key: (n, ref) for key, n in result.estimates.items()
              if (ref := (n.stated or n).value) and np.isfinite(ref)}
     if not known:
@@ -164,12 +164,12 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
     parts = ([n.std for n, _ in shown], [n.statistical for n, _ in shown])
     whole, random = (scale * np.nan_to_num(np.array(part)) for part in parts)
     left.errorbar(off, place, xerr=whole, fmt="none", ecolor=draw.FAINT, elinewidth=1.2, capsize=3,
-                  label="with the systematic error")
+                  label="with systematic error")
     left.errorbar(off, place, xerr=random, fmt="o", color=draw.MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
     left.axvline(0.0, color=draw.MODEL, lw=1.0, ls="--")
     left.set_ylim(-0.6, len(shown) - 0.4)
-    left.set_xlabel("off what was stated [%]")
+    left.set_xlabel("difference from the stated value [%]")
     draw.legend_above(left)
     informed = np.nan_to_num([100.0 * n.informed for n, _ in shown])
     right.barh(place, informed, color=draw.MEASURED, height=0.55)
@@ -180,26 +180,26 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
 
 
 def signal_pictures(result: Diagnosis) -> list[Picture]:
-    """Measured against simulated, before and after: a picture a quantity of the held-out data."""
+    """Measured and simulated, before and after: one picture per quantity of the held-out data."""
     pictures = []
     for quantity, _ in result.worst_first:
         obs = next(v for v in result.held_out if quantity in v.quantities)
         unit, factor = scale_of(quantity)
-        # Of each side the signal that the belief misses most.
+        # Per side, the signal with the largest error of the stated parameters.
         both = (obs.readings(obs.simulate(p)) for p in (result.parameters, result.improved))
         worst: dict[str, tuple[BinnedSignal, Array, Array]] = {}
         rows = [r for r in zip(obs.signals, *both, strict=True) if r[0].quantity == quantity]
         for row in sorted(rows, key=lambda r: float(np.mean((r[0].value - r[1]) ** 2))):
             worst[obs.sides[row[0].wire]] = row
         shown = [worst[side] for side in dict.fromkeys(obs.sides[r[0].wire] for r in rows)]
-        # Readings, and below them their errors with the band of the noise.
+        # Readings, and below them their errors with the noise band.
         figure, axes = draw.read_and_error(len(shown), 0.8 + 2.9 * len(shown))
         for (upper, lower), (signal, old, new) in zip(axes, shown, strict=True):
             time, value = signal.time, factor * signal.value
             upper.plot(time, value, color=draw.MEASURED, lw=2.6, alpha=0.45, label="measured")
             half = 2.0 * factor * sample_noise(result.model.problem, signal.name)
             lower.axhspan(-half, half, color=draw.FAINT, alpha=0.18, lw=0, gid=draw.BAND)
-            for simulated, label, colour, dash in ((factor * old, "as believed", draw.FAINT, "--"),
+            for simulated, label, colour, dash in ((factor * old, "as stated", draw.FAINT, "--"),
                                                    (factor * new, "improved", draw.MODEL, "-")):
                 upper.plot(time, simulated, label=label, color=colour, lw=1.0, ls=dash)
                 lower.plot(time, value - simulated, color=colour, lw=1.0, ls=dash)
@@ -213,12 +213,12 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
 
 
 def evidence_picture(result: Diagnosis) -> Picture:
-    """What each effect alone, and the best pairs, would explain, in the colours of their stages."""
+    """Evidence of each effect alone and of the best pairs, in the colours of their stages."""
     search = result.search
     base, gains = search.recalibrated.evidence, {n: search.gain(n) for n in search.ranked}
     gains |= {JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
               if fit.evidence - base > max(gains.values(), default=0.0)}
-    gains["response of free form"] = search.flexible.gain
+    gains["free-form response"] = search.flexible.gain
     ranked = sorted(gains, key=gains.__getitem__, reverse=True)
     figure, (ax,) = draw.new_figure(height=1.2 + 0.28 * len(ranked))
     legend = dict[str, BarContainer]()
@@ -243,19 +243,19 @@ def evidence_picture(result: Diagnosis) -> Picture:
 
 
 def gap_picture(result: Diagnosis) -> Picture:
-    """Root mean square over noise of each cell: before, what explains it, and what is left."""
+    """Maps of rms over noise: the gap as stated, the explanation, and the residual."""
     problem = result.model.problem
     names, middle = result.model.unknowns.effects, list(result.where.table)
     if result.verdict == UNEXPLAINED:
-        head = "what is missing: left\nby recalibration"
+        head = "residual of\nrecalibration"
         middle = locate(problem, result.search.recalibrated.left)
     elif names:
-        head = "what " + "\nand ".join(names) + f" {'does' if len(names) == 1 else 'do'}"
+        head = "change by\n" + "\nand ".join(names)
     else:
-        head = "what recalibration\nchanges"
-    maps = (("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
-            (head, middle), ("left by the\nbest model", locate(problem, result.model.left)))
-    # Signals by quantity, the worst first; the deflection once a side.
+        head = "change by\nrecalibration"
+    maps = (("measured - simulated,\nas stated", locate(problem, result.search.nominal.left)),
+            (head, middle), ("residual of the\nbest model", locate(problem, result.model.left)))
+    # Signals by quantity, the worst first; the deflection once per side.
     quantities = dict.fromkeys([*(quantity for quantity, _ in result.worst_first), *QUANTITIES])
     rows = list(dict.fromkeys(f"{signal.name}, {side}" if side else signal.name
                               for quantity in quantities for view in result.observations
@@ -290,7 +290,7 @@ def _short(value: float) -> str:
 
 
 def missing_pictures(result: Diagnosis) -> list[Picture]:
-    """What recalibration leaves over time, a picture for each signal in which most of it lies."""
+    """The residual of recalibration over time, for the signals in which most of it lies."""
     model = result.search.recalibrated
     shares: dict[str, float] = {}
     for cell in locate(result.model.problem, model.left):
@@ -301,13 +301,13 @@ def missing_pictures(result: Diagnosis) -> list[Picture]:
         unit, factor = scale_of(name)
         block = next(iter(model.problem.of_signal(name)))
         obs, time = block.observation, block.signal.time
-        look = {"color": draw.FAINT, "lw": 1.0, "label": "left"}
+        look = {"color": draw.FAINT, "lw": 1.0, "label": "residual"}
         curves = [(time, factor * model.left[block.rows], look)]
         if found := result.missed:
             response = factor * result.search.inputs[found.stage].response[block.rows]
-            label = f"an input to the {found.stage} stage"
+            label = f"unknown input to the {found.stage} stage"
             curves.append((time, response, {"color": draw.MODEL, "lw": 1.2, "label": label}))
-        figure, ax = draw.graph("time [s]", f"missing [{unit}]", curves, 3.2, fontsize=8)
+        figure, ax = draw.graph("time [s]", f"residual [{unit}]", curves, 3.2, fontsize=8)
         if found and found.record == obs.path:
             ax.axvspan(found.start, found.stop, color=draw.FAINT, alpha=0.2)
         pictures.append(pictured("diagnosis_missing", figure,
@@ -316,7 +316,7 @@ def missing_pictures(result: Diagnosis) -> list[Picture]:
     return pictures
 
 
-# Parts of a result by name, the one that matters most first.
+# Figures of a result by name; the first is the default.
 _PARTS: dict[type, dict[str, Callable[[Any], Picture | None]]] = {
     Identification: {"agreement": agreement_picture},
     Diagnosis: {
@@ -325,7 +325,7 @@ _PARTS: dict[type, dict[str, Callable[[Any], Picture | None]]] = {
 
 
 def picture_of(thing: Any, *what: str) -> Picture:
-    """The figure of a thing, or that part of it. Raises InputError: it has nothing of that name."""
+    """The figure of a thing, or of its parts `what`. Raises InputError: it has no such part."""
     held: Iterable[str] = ()
     if isinstance(thing, Identification | Diagnosis):
         parts = _PARTS[Identification if isinstance(thing, Identification) else Diagnosis]

@@ -1,4 +1,4 @@
-"""Reports: of an identification, of a diagnosis, of records and results of other commands."""
+"""Reports of an identification, of a diagnosis, and of collected records and results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,8 +28,8 @@ from sma_bench.results import LARGEST, card, sentences, signed, with_error
 def write_identification_report(directory: str | Path, result: Identification,
                                 report: Report = silent, made: Made | None = None,
                                 column: PaperColumn | None = None) -> Path:
-    """The page of an identification: `made` of which inputs, `column`: of a paper, for which the
-    figures are written; `report` hears which comes. InputError: the folder cannot be written."""
+    """Write the page of an identification; its path. Arguments as `write_report`. InputError: the
+    folder cannot be written."""
     pictures = _present(plots.agreement_picture(result))
     sections = [
         Section("", notes=list(map(str, result.notes)), pictures=pictures,
@@ -45,9 +45,9 @@ def write_identification_report(directory: str | Path, result: Identification,
 
 def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Report = silent,
                            made: Made | None = None, column: PaperColumn | None = None) -> Path:
-    """The same of a diagnosis."""
+    """Write the page of a diagnosis, as `write_identification_report`."""
     tables = diagnosis_tables(result)
-    # Of every sensor, those of the worst quantity first.
+    # The noise of every sensor; the quantity with the largest error comes first.
     problem, order = result.model.problem, [*(q for q, _ in result.worst_first), *QUANTITIES]
     names = sorted(problem.noise, key=lambda name: order.index(name.rpartition(".")[2]))
     noises = [(name, sample_noise(problem, name), max(problem.noise[name].drift, 0.0),
@@ -61,25 +61,25 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
                 tables=[tables["candidates"]],
                 pictures=[plots.evidence_picture(result)])]
     if result.verdict == UNEXPLAINED:
-        text = ("What a further effect would have to do to the readings; what causes it, the "
-                "figures can only suggest.")
+        text = ("What a further effect would have to do to the readings. The figures can only "
+                "suggest its cause.")
         shape = plots.missing_pictures(result)
-        sections.append(Section("The shape of what is missing", [text], pictures=shape))
-    # What was looked at, and what not.
+        sections.append(Section("What no effect explains", [text], pictures=shape))
+    # The data used.
     parts = [("fitted", v) for v in result.fitted] + [("held out", v) for v in result.held_out]
     rows = [(view.path, part, s.name, f"{s.time[0]:.1f} to {s.time[-1]:.1f}",
              f"{int(s.count.sum())}", f"{s.period:.2g}") for part, view in parts
             for s in view.signals]
     header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
     left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
-    paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
+    paragraphs = [f"Recorded but not compared: {', '.join(left_out)}."] if left_out else []
     findings, audit = (list(map(str, own)) for own in fold_audit(result.findings))
     sections += [
         Section("How far does it shrink?", sentences(result, "how_far"),
                 tables=[tables["shrinkage"],
                         *([] if result.verdict == NO_GAP else [improvements(result)])]),
         Section("What next?", sentences(result, "next", None)),
-        Section("What was looked at", paragraphs, findings,
+        Section("Which data were used?", paragraphs, findings,
                 [Table(header, rows, frozenset({4, 5}))], folded=audit)]
     numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
     sources = list(dict.fromkeys(view.path for view in result.observations))
@@ -89,20 +89,20 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
 
 
 def improvements(result: Diagnosis) -> Table:
-    """The parameters of the best model against what was believed."""
+    """The parameters of the best model, compared with the stated ones."""
     unknowns, at, rows = result.model.unknowns, result.model.x, []
     for item, x, value, std in zip(unknowns.items, unknowns.deviations(at), unknowns.values(at),
                                    result.model.errors, strict=True):
-        name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
+        name, stated = item.name, item.value(0.0)  # some follow from the geometry
         moved = "" if name.startswith("effect.") or not item.std else signed(float(x), ".1f")
-        rows.append((name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
-    header = ("parameter", "as believed", "improved", "unit", "moved by (its own std)")
+        rows.append((name, f"{stated:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
+    header = ("parameter", "as stated", "improved", "unit", "moved by [std]")
     return Table(header, rows, frozenset({1, 2, 4}))
 
 
 @dataclass(frozen=True)
 class ReportedInput:
-    """One input: what it is, its sentence in the summary, its section, caveats, its card."""
+    """An input of a collected report: its kind, one-line summary, section, warnings and card."""
 
     path: str
     kind: str
@@ -164,13 +164,13 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
 def write_collected_report(directory: str | Path, title: str, shown: Sequence[ReportedInput],
                            parameters: Parameters, given: str, made: Made,
                            column: PaperColumn | None, report: Report) -> Path:
-    """The cards of all results; a line an input, and folded above them all their warnings; each
-    input's own; the parameters, `given` by what. InputError: the folder cannot be written."""
+    """Write one page: cards of all results, a summary with one line per input and all warnings, a
+    section per input, and the parameters from `given`. InputError: the folder cannot be written."""
     cards = [one.answer for one in shown if one.answer is not None]
     cards = cards if len(cards) > 1 else [replace(section, title="") for section in cards]
     rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
     warnings = [text for one in shown for text in one.warnings]
-    table = Table(("", "input", "kind", "what it says"), rows, frozenset({0}), "summary")
+    table = Table(("", "input", "kind", "result"), rows, frozenset({0}), "summary")
     head = f"{len(warnings)} warning{'s' if len(warnings) != 1 else ''}"
     summary = Section("Summary", [] if warnings else ["No warnings."], tables=[table],
                       folded=[head, *warnings] if warnings else ())
@@ -190,11 +190,11 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
 
 
 def read_result(path: str | Path) -> Identification | DiagnosisResult:
-    """A result of whichever command. Raises InputError: unreadable, not JSON, or not a result."""
+    """A result of identify or diagnose. InputError: unreadable, not JSON, or not a result."""
     document = read_json(read_text(path, LARGEST), str(path), LARGEST)
     if not isinstance(document, dict) or not {"verdict", "parameters"} & {*document}:
-        raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
-                         "verdict in it")
+        raise InputError(f"{path}: not a result of identify or diagnose: has neither "
+                         "parameters nor verdict")
     read = diagnosis_from if "verdict" in document else identification_from
     return read(document, str(path))
 

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from sma_bench.diagnose.result import DiagnosisResult
 
 LEAST_SHOWN = 0.005  # probability of a candidate
-_NOTHING = 1e-12  # the last bits of doubles, of a signal's times
+_NOTHING = 1e-12  # rounding errors of times smaller than this are shown as 0
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text, `numeric` columns flush right; with a `name` a CSV file, too; below `title`."""
+    """Rows of text; `numeric` columns are flush right. With a `name` it is also written as CSV."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -27,31 +27,31 @@ class Table:
 
 
 def table_of(result: Any, macro: str, *more: Any, name: str = "", title: str = "") -> Table:
-    """Cells that a macro of the result's template makes, headings first, # before numeric ones."""
+    """A table from a macro of the result's template: headings first, # marks numeric columns."""
     header, *rows = cells(result, macro, *more)
     numeric = frozenset(k for k, cell in enumerate(header) if cell.startswith("#"))
     return Table([cell.lstrip("#") for cell in header], rows, numeric, name, title)
 
 
 def diagnosis_tables(result: "DiagnosisResult") -> dict[str, Table]:
-    """Candidates, where the gap lies, and what shrinks, by name."""
+    """Tables by name: the candidates, where the gap lies, how far it shrinks."""
     return {
         "candidates": table_of(result, "candidate_table", LEAST_SHOWN, name="candidates_table",
                                title="Candidates"),
         "where": table_of(result, "place_table", name="where", title="Where the gap lies"),
         "shrinkage": table_of(result, "shrinkage_table", name="shrinkage",
-                              title="How far the gap shrinks, on data that no fit saw")}
+                              title="How far the gap shrinks on held-out data")}
 
 
 def cell_of(value: Any) -> str:
-    """A parameter's value."""
+    """A parameter's value as text."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return ", ".join(value) if isinstance(value, tuple) else str(value)
 
 
 def record_tables(described: Mapping[str, Any], name: str = "") -> list[Table]:
-    """Of a record as `records.describe` has it; `name` leads those of the tables."""
+    """Tables of a record as returned by `records.describe`; `name` is the prefix of their names."""
     tables = []
     for key, columns in read_yaml(Path(__file__).with_name("records.yaml")).items():
         rows = []
@@ -67,5 +67,5 @@ def record_tables(described: Mapping[str, Any], name: str = "") -> list[Table]:
 
 
 def record_line(described: Mapping[str, Any]) -> str:
-    """What a record is, in a line."""
+    """A record in one line."""
     return lines_of("record.j2", "line", described)[0]

@@ -1,4 +1,4 @@
-"""Many records, each by itself: a task, and what came of it."""
+"""Batch work: many records, each identified or diagnosed on its own, in parallel."""
 
 import asyncio
 import logging
@@ -24,22 +24,22 @@ from sma_bench.parameters import Parameters
 
 IDENTIFY, DIAGNOSE = "identify", "diagnose"
 _MOST_JOBS = 1024
-_CONNECTING = 3.0  # s
+_CONNECTING = 3.0  # s, timeout for a dask scheduler
 
 
 @dataclass(frozen=True)
 class Task:
-    """A record to identify or diagnose (`kind`), by its path as the worker sees it, with priors."""
+    """Identify or diagnose (`kind`) one record; `path` must be valid on the worker."""
 
     kind: str
     path: str
     parameters: Parameters
-    template: str | None = None  # whose comments the identified ones keep
+    template: str | None = None  # parameter file whose comments are kept
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one record: result and parameter file's text, or why it failed; time [s]."""
+    """Result of a task: the result and the text of its parameter file, or an error; time [s]."""
 
     path: str
     result: dict[str, Any] | None = None
@@ -49,7 +49,7 @@ class Outcome:
 
 
 def run_task(task: Task) -> Outcome:
-    """Do one task; whatever goes wrong with its record stays with it."""
+    """Run one task. Raises nothing: an error becomes part of the outcome."""
     from sma_bench.tasks import work
 
     begin = time.perf_counter()
@@ -74,9 +74,9 @@ def run_task(task: Task) -> Outcome:
 
 def do_tasks(tasks: Sequence[Task], jobs: int,
              cluster: str | None = None) -> Generator[tuple[int, Outcome], None, None]:
-    """(index of the task, outcome) as soon as each is done, by so many processes, which end with
-    this one, or by the dask scheduler at `cluster`, whose workers have this package and the same
-    paths. InputError: jobs out of range; no such cluster, or it is lost."""
+    """Yields (index of the task, outcome) as each is done, by `jobs` processes, which end with this
+    one, or by the workers of the dask scheduler at `cluster`, which need this package and the same
+    paths. InputError: jobs out of range; the cluster cannot be reached, or is lost."""
     if not 1 <= jobs <= _MOST_JOBS:
         raise InputError(f"jobs {jobs}: expected 1 to {_MOST_JOBS}")
     tied = {"initializer": end_after, "initargs": (os.getpid(),)}
@@ -84,15 +84,15 @@ def do_tasks(tasks: Sequence[Task], jobs: int,
     with _on_cluster(cluster) if cluster else joblib.parallel_config("loky", **tied):
         try:
             work = (joblib.delayed(_numbered)(k, task) for k, task in list(left.items()))
-            resource_tracker.ensure_running()  # its own start would let interrupts through
-            with interrupts_held():  # a process that just begins would answer with a traceback
+            resource_tracker.ensure_running()  # here, because starting it lets interrupts through
+            with interrupts_held():  # interrupted while it starts, a process prints a traceback
                 done = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(work)
             for k, outcome in done:
                 del left[k]
                 yield k, outcome
-        except TerminatedWorkerError:  # by the one that hangs or takes all memory, whichever it is
+        except TerminatedWorkerError:  # one of the tasks, unknown which, took all memory, say
             for k, task in list(left.items()):
-                # With a process of its own: if that is killed as well, it is this task's doing.
+                # Each in a process of its own: the task whose process is killed again is the cause.
                 try:
                     executor = get_reusable_executor(1, **tied)
                     with interrupts_held():
@@ -109,7 +109,7 @@ def _numbered(k: int, task: Task) -> tuple[int, Outcome]:
 
 @contextmanager
 def _on_cluster(address: str) -> Iterator[None]:
-    """The workers of a dask scheduler, for joblib."""
+    """Make joblib use the workers of a dask scheduler."""
     if not re.fullmatch(r"(tcp|tls|ws|wss)://[^/\s]+:\d+", address):
         raise InputError(f"--dask {address}: expected tcp://HOST:PORT (or tls, ws, wss)")
     try:
@@ -122,11 +122,11 @@ def _on_cluster(address: str) -> Iterator[None]:
         async with distributed.rpc(address) as scheduler:
             return await asyncio.wait_for(scheduler.identity(), _CONNECTING)
 
-    logging.disable()  # what goes wrong is said in one line; their own accounts of it have hundreds
+    logging.disable()  # an error is one line here; dask logs hundreds
     try:
-        # A client that meets something else than a scheduler takes long to give up, and loudly.
+        # Ask first: a dask client takes long to give up on something that is not a scheduler.
         if asyncio.run(asked()).get("type") != "Scheduler":
-            raise InputError(f"dask {address}: answers, but is no scheduler")
+            raise InputError(f"dask {address}: answers, but is not a scheduler")
         with distributed.Client(address, timeout=_CONNECTING, set_as_default=False) as client:
             for worker, version in client.run(_version, on_error="return").items():
                 if version != VERSION:

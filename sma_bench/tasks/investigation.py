@@ -1,11 +1,11 @@
-"""Record, diagnose, propose, run, diagnose everything together: until the cause is named, nothing
-more would settle it, or the time is spent. Kept in a folder after every step, to go on from there.
+"""Record, diagnose all records together, run the proposed experiment, and again: until the cause is
+named, no experiment would decide, or the time is spent. The state is kept in a folder:
 
-    believed.yaml           parameters as believed; tests of the paper go in here
-    record_1, record_2, ... bags, beside those that were given
-    protocol_2.yaml         what was proposed for record_2
+    believed.yaml           the stated parameters; results of the paper's tests are entered here
+    record_1, record_2, ... bags recorded here, besides those that were given
+    protocol_2.yaml         the protocol proposed for record_2
     diagnosis_1.json        of all records up to then
-    investigation.json      the story: records, minutes, probabilities"""
+    investigation.json      the history: records, minutes, probabilities"""
 
 import json
 import math
@@ -33,15 +33,15 @@ HEADER = ("records", "minutes", "verdict", "probabilities", "then")
 BELIEVED, STORY = "believed.yaml", "investigation.json"
 OPEN, NAMED, INSEPARABLE, SPENT, TEST = ("open", "named", "inseparable", "budget spent",
                                          "a test is needed")
-_ABOVE_FINISH = 25.0  # K to which the first drive heats a wire at rest
-_MOST_SHOWN = 5
-_SURE = 0.8  # probability from which an effect needs no more
-_CHAPTER = 8 * MEGABYTE
+_ABOVE_FINISH = 25.0  # K above A_f: the steady temperature of the first drive
+_MOST_SHOWN = 5  # candidates in a row of the table
+_SURE = 0.8  # probability of an effect from which no further experiment is needed
+_CHAPTER = 8 * MEGABYTE  # largest file
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """What was said after so many records and minutes; `proposed`: the experiment, {} for none."""
+    """One diagnosis, after so many records and minutes; `proposed`: next experiment, {}: none."""
 
     records: int
     minutes: float
@@ -60,7 +60,7 @@ class _Story:
 
 @dataclass(frozen=True)
 class _Proposed:
-    """What is used of a chapter's experiment."""
+    """The fields of `Chapter.proposed` that are used here."""
 
     why: str
     protocol: dict[str, Any]
@@ -70,7 +70,7 @@ class _Proposed:
 
 
 class Investigation:
-    """One folder; what is in it already is not done again."""
+    """An investigation in its folder; steps whose files exist there are not repeated."""
 
     def __init__(self, folder: str | Path, budget: float,
                  signals: Sequence[str] = QUANTITIES) -> None:
@@ -78,8 +78,8 @@ class Investigation:
         self.folder, self._budget, self._signals = Path(folder), budget, tuple(signals)
         self.given: list[str] = []
         self.chapters: list[Chapter] = []
-        if os.path.isfile(path := self.folder / STORY):  # False of what no file can be called, too
-            import msgspec  # which a robot may lack
+        if os.path.isfile(path := self.folder / STORY):  # False for an impossible name, too
+            import msgspec  # may be missing on a robot
 
             found = read_json(read_text(path, _CHAPTER), str(path), _CHAPTER)
             try:
@@ -91,26 +91,26 @@ class Investigation:
             self.chapters, self.given = story.chapters, story.given
 
     def begin(self, parameters: Parameters, given: Sequence[str]) -> None:
-        """Keep what is believed and which records there are; where it has begun, what is new."""
+        """Keep parameters and paths of records; if begun already, add the new records."""
         begun = os.path.isfile(self.folder / BELIEVED)
         with errors_in(f"{self.folder}: cannot be made"):
             self.folder.mkdir(parents=True, exist_ok=True)
             is_new = begun or not any(self.folder.iterdir())
         if not is_new:
-            raise InputError(f"{self.folder}: is not empty, and no investigation")
+            raise InputError(f"{self.folder}: is not empty and holds no investigation")
         paths = [str(Path(path).resolve()) for path in given]
         self.given += [path for path in paths if path not in self.given]
         self._keep()
         if not begun:
-            names = sorted(parameters.given) or None  # else none would be no parameter file
-            write_parameters(self.folder / BELIEVED, parameters, "As believed.", names)
+            names = sorted(parameters.given) or None  # None: all, a file needs some
+            write_parameters(self.folder / BELIEVED, parameters, "As stated.", names)
 
     @property
     def believed(self) -> Parameters:
         return read_parameters(self.folder / BELIEVED)
 
     def _own(self) -> list[tuple[Path, Path]]:
-        """Bags that were recorded here, and their protocols."""
+        """Bags recorded in this folder, with their protocols."""
         pairs = ((self.folder / f"record_{k}", self.folder / f"protocol_{k}.yaml")
                  for k in range(1, 1000))
         return [(bag, protocol) for bag, protocol in pairs if bag.exists()]
@@ -121,13 +121,13 @@ class Investigation:
 
     @property
     def minutes(self) -> float:
-        """That the bench was driven here."""
+        """Time for which the bench was driven in this investigation."""
         done = [protocol for _, protocol in self._own() if protocol.is_file()]
         return sum(load_protocol(path, self.believed).duration / 60.0 for path in done)
 
     def next_run(self) -> dict[str, Any]:
-        """What the bench is driven with next: name of the `protocol`, `minutes`, highest `volts`,
-        the `file`, which is written, and the `bag` to record. InputError: the bench refuses it."""
+        """Write the next protocol to a file. Returns its name (`protocol`), `minutes`, highest
+        `volts`, the `file`, and the `bag` to record. InputError: it exceeds the bench's limits."""
         number, p = len(self._own()) + 1, self.believed
         path = self.folder / f"protocol_{number}.yaml"
         if self.chapters:
@@ -139,7 +139,7 @@ class Investigation:
             loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]
             level = min(math.sqrt(p["wire.resistance"] * loss * excess), p["bench.maximum_voltage"])
             document = FIRST.document(level, tuple(dict.fromkeys(p["bench.channel_sides"])))
-        # The experiment node says `done: NAME`, also of a run before.
+        # A unique name: the experiment node's `done: NAME` may still be that of the run before.
         document = {**document, "name": f"{document['name']}_{number}"}
         write_text_atomically(path, json.dumps(document, indent=1) + "\n")  # YAML as well
         protocol = load_protocol(path, p)
@@ -149,7 +149,7 @@ class Investigation:
 
     @property
     def pending(self) -> bool:
-        """Whether a record has come since the last diagnosis, or the parameters have changed."""
+        """True if records are new, or parameters changed, since the last diagnosis."""
         if not self.chapters:
             return bool(self.records)
         changed = (self.folder / BELIEVED).stat().st_mtime_ns > self._last.stat().st_mtime_ns
@@ -160,7 +160,7 @@ class Investigation:
         return self.folder / f"diagnosis_{len(self.chapters)}.json"
 
     def diagnose(self, report: Report = silent) -> Diagnosis:
-        """Of all records together; the next chapter."""
+        """Diagnose all records together and write the next chapter."""
         records = self.records
         result = diagnose_files(records, [], self.believed, self._signals, report)
         document = result.to_json()
@@ -175,7 +175,7 @@ class Investigation:
 
     @property
     def state(self) -> str:
-        """Whether, and why not, there is a next run."""
+        """OPEN: there is a next run; otherwise the reason why the investigation ends."""
         if not self.chapters:
             return OPEN
         last = self.chapters[-1]
@@ -198,16 +198,16 @@ class Investigation:
         return rows
 
     def write_page(self, command: str = "") -> Path:
-        """The story as a page, by this command; its path."""
+        """Write the history as a page; its path. `command`: for the provenance."""
         where = str(self._last)
         document = read_json(read_text(where, _CHAPTER), where, _CHAPTER)
         answer = Section("", card=card(diagnosis_from(document, where)))
         sections = [Section(f"After {_counted(c.records)}", [*c.why],
                             notes=[c.proposed["why"]] if c.proposed else [])
                     for c in self.chapters]
-        table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "Probabilities by record")
+        table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "After each diagnosis")
         return write_report(self.folder / "story", "Investigation", f"{self.summary()}.",
-                            [answer, Section("Story", tables=[table]), *sections],
+                            [answer, Section("History", tables=[table]), *sections],
                             Made(command, self.records))
 
     @property
@@ -220,7 +220,7 @@ class Investigation:
         return f"{self.outcome} after {_counted(last.records)}, {last.minutes:.1f} min"
 
     def to_json(self) -> dict[str, Any]:
-        """The story and its state."""
+        """The history and the state."""
         return {"given": self.given, "chapters": [*map(asdict, self.chapters)], "state": self.state}
 
     def _keep(self) -> None:

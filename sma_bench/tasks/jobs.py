@@ -1,7 +1,7 @@
-"""Identification, diagnosis and investigation as the work of a process of its own, for nodes.
+"""Identification, diagnosis and investigation for nodes, each run in a process of its own.
 
-A task takes a node's own parameters (`settings`), the contract's, and a reporter; it returns JSON.
-Who may set a ROS parameter has no file but those below `record_root` (read) and `output_root`."""
+A task takes the node's own parameters (`settings`), the bench's, and a reporter; it returns JSON.
+Whoever sets ROS parameters can reach only files below `record_root` (read) and `output_root`."""
 
 import multiprocessing
 import os
@@ -23,17 +23,17 @@ from sma_bench.results import json_text, write_result
 Task = Callable[[Mapping[str, Any], Parameters, Report], str]
 
 CANCELLED = "cancelled on request"
-OWN_ROOT = "sma_bench_results"  # where results go for which no root is set
+OWN_ROOT = "sma_bench_results"  # default output root
 _OWN = re.compile(rb'\A\{(?s:.*)"parameters"|(?m:^)# (?:Improved by|Identified by|The model) ')
 _LARGEST_RESULT = 1 << 26  # bytes
-_DIAGNOSED = 0.9  # of the time, about; the rest draws the report
-_SPAWN = multiprocessing.get_context("spawn")  # a fork would have ROS's locks, and not its threads
-_LEAST_MEMORY = 4 << 30  # bytes of addresses, of which compilers and threads take more than of RAM
-_LONGEST = 3600  # s of the processor; the longest diagnosis takes minutes
+_DIAGNOSED = 0.9  # share of the time, about; the rest is for drawing the report
+_SPAWN = multiprocessing.get_context("spawn")  # a fork inherits ROS's locks, not their threads
+_LEAST_MEMORY = 4 << 30  # bytes of address space: compilers and threads reserve more than they use
+_LONGEST = 3600  # s of CPU time; the longest diagnosis takes minutes
 
 
 class Worker:
-    """Runs one task at a time in a process, which `end` may end from any thread."""
+    """Runs one task at a time in a process; `end` kills it, from any thread."""
 
     def __init__(self, name: str) -> None:
         self._name, self._ended = name, ""
@@ -41,7 +41,7 @@ class Worker:
 
     def run(self, task: Task, settings: Mapping[str, Any], parameters: Parameters,
             report: Report = silent) -> str:
-        """The task's result. Raises InputError: what the task raised, or why it was ended."""
+        """The task's result. Raises InputError: the task's own error, or why it was ended."""
         near, far = _SPAWN.Pipe(duplex=False)
         process = _SPAWN.Process(target=_work, args=(far, task, dict(settings), parameters))
         process.start()
@@ -55,7 +55,7 @@ class Worker:
                 if done is False:
                     raise InputError(said)
                 report(done, said)
-        except (EOFError, OSError):  # it was killed, perhaps amid a message
+        except (EOFError, OSError):  # it was killed, perhaps while sending
             process.join()
             status = process.exitcode or 0
             by = signal.Signals(-status).name if status < 0 else f"status {status}"
@@ -63,12 +63,12 @@ class Worker:
             raise InputError(f"{self._name}: {why}") from None
         finally:
             self.process = None
-            process.kill()  # its result is here: its interpreter need not take itself to pieces
+            process.kill()  # the result is here: no need to wait for its interpreter to shut down
             process.join()
             near.close()
 
     def end(self, why: str = CANCELLED) -> bool:
-        """End the running task, and no later one; whether there was one."""
+        """End the running task, if any; returns whether there was one."""
         if (process := self.process) is None:
             return False
         self._ended = why
@@ -77,12 +77,12 @@ class Worker:
 
 
 def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parameters) -> None:
-    """The process: (share, what) of its progress, then (True, result) or (False, what is wrong)."""
-    os.setsid()  # Ctrl-C in a terminal is for the node, which then ends this process
+    """Runs in the process. Sends (share, step) of progress, (True, result) or (False, error)."""
+    os.setsid()  # Ctrl-C in a terminal reaches the node only, which then ends this process
     node = multiprocessing.parent_process()
     assert node is not None and node.pid is not None
     end_after(node.pid, signal.SIGKILL)
-    # A node that is punctual may live in the parent, too; work is not.
+    # The parent may run with real-time priority; this work must not.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.setpriority(os.PRIO_PROCESS, 0, max(os.getpriority(os.PRIO_PROCESS, 0), 0))
     memory = max(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), _LEAST_MEMORY)
@@ -94,7 +94,7 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
     def report(share: float, what: str = "") -> None:
         pipe.send((float(share), what))
 
-    from sma_bench.compiled import when_compiling  # brings numba, which the node does without
+    from sma_bench.compiled import when_compiling  # imports numba, which the node itself avoids
 
     when_compiling(lambda: report(0.0, COMPILING))
     try:
@@ -109,18 +109,18 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
 
 def records_inside(settings: Mapping[str, Any], parameter: str = "record",
                    required: bool = False) -> list[str]:
-    """Paths of the records that a list parameter names, relative ones below `record_root`.
-    InputError: one, or what a bag of them links to, is outside the root; none, if `required`."""
+    """Paths of the records in a list parameter, relative ones below `record_root`. InputError: a
+    record, or a link in a bag, leads outside the root; the list is empty though `required`."""
     # ROS cannot type an empty array: [""] stands for none.
     names, root = [name for name in settings[parameter] if name], settings["record_root"]
     if required and not names:
-        raise InputError(f"{parameter}: is empty, expected the path of one record or more")
+        raise InputError(f"{parameter}: is empty, expected the path of at least one record")
     return [str(_inside(root, name, parameter, "record_root")) for name in names]
 
 
 def output_inside(settings: Mapping[str, Any], parameter: str, suffix: str = "") -> str:
-    """The path that a parameter names, below `output_root` (OWN_ROOT where that is empty); "" stays
-    "". InputError: it is outside, links followed, hidden, lacks the suffix, is no file of ours."""
+    """The path in a parameter, below `output_root` (OWN_ROOT if that is empty); "" stays "".
+    InputError: it leads outside, is hidden, lacks the suffix, or is a foreign file."""
     if not (path := settings[parameter]):
         return ""
     hidden = [part for part in Path(path).parts if part.startswith(".") and part.strip(".")]
@@ -135,7 +135,7 @@ def output_inside(settings: Mapping[str, Any], parameter: str, suffix: str = "")
 
 
 def require_own(*files: Path, parameter: str) -> None:
-    """Raises InputError: one of the files exists and is none of those that tasks write."""
+    """Raises InputError: one of the files exists and was not written by sma-bench."""
     for file in files:
         if file.exists() and not _OWN.search(read_bytes(file, _LARGEST_RESULT)):
             raise InputError(f"{parameter}: {file} is not a file that sma-bench has written")
@@ -144,7 +144,7 @@ def require_own(*files: Path, parameter: str) -> None:
 def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
     top, found = Path(root or "."), Path(root, path)
     try:
-        # A bag from elsewhere may hold a link to any file of this computer.
+        # A bag from elsewhere may contain a link to any file of this computer.
         parts = [found, *(found.iterdir() if found.is_dir() else ())]
         outside = not all(is_inside(part, top) for part in parts)
     except (OSError, ValueError):  # no permission, a zero byte
@@ -196,21 +196,21 @@ def diagnose(settings: Mapping[str, Any], parameters: Parameters, report: Report
 
 
 def investigation_folder(settings: Mapping[str, Any]) -> str:
-    """Where an investigation is kept. Raises InputError: it, or a record, may not be used."""
+    """The folder of an investigation. InputError: it, or a record, lies outside the roots."""
     records_inside(settings)
     if not (folder := output_inside(settings, "folder")):
-        raise InputError("folder: is empty, expected where the investigation is kept")
+        raise InputError("folder: is empty, expected the folder of the investigation")
     return folder
 
 
 def investigate(settings: Mapping[str, Any], parameters: Parameters, report: Report) -> str:
-    """Begin or go on in the folder and diagnose what is new. Returns the story as JSON, with
-    `outcome` (a line, "" without a record yet) and `next` (of `next_run`, null for none)."""
+    """Begin or continue in the folder and diagnose new records. Returns the history as JSON, with
+    `outcome` (a line, "" before the first record) and `next` (of `next_run`, null for none)."""
     from sma_bench.tasks.investigation import OPEN, QUANTITIES, Investigation
 
     signals = [name for name in settings["signals"] if name]
     case = Investigation(investigation_folder(settings), settings["budget"], signals or QUANTITIES)
-    records_inside({**settings, "record": case.given})  # its file may name others
+    records_inside({**settings, "record": case.given})  # paths from its file, too
     case.begin(parameters, records_inside(settings))
     if case.pending:
         case.diagnose(report)

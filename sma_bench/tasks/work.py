@@ -1,4 +1,4 @@
-"""From files to results and from results to files, for whoever asks."""
+"""Identify and diagnose from files, and write the results to files: for commands and nodes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,13 +14,13 @@ from sma_bench.progress import Report, by_name, in_turn, part, silent
 from sma_bench.records import open_records, read_record
 from sma_bench.records.instruments import Phase
 
-if TYPE_CHECKING:  # who wants the one need not load the other
+if TYPE_CHECKING:  # imported where used: each takes time to load
     from sma_bench.diagnose import Diagnosis
     from sma_bench.identify import Identification
 
-_TOLD = 0.9  # of the spread that a number has which nobody stated
-_READING, _READING_BAGS = 0.2, 0.05  # shares of the time, about
-# Seconds that each step takes of a composite record, as `diagnose` names them.
+_INFORMED = 0.9  # of its spread: an unstated parameter with a smaller error counts as learnt
+_READING, _READING_BAGS = 0.2, 0.05  # share of the time for reading, about
+# Seconds that each step of `diagnose` takes for a record of a composite, by the name it reports.
 _PLAN = {
     "records": 0.1, "recalibration": 0.7, **dict.fromkeys(EFFECTS, 0.13),
     "effects instead of surprising parameters": 1.5, "the best again, carefully": 0.6,
@@ -34,9 +34,9 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
                    report: Report = silent, phases: Mapping[str, Phase] | None = None,
                    stated: Mapping[str, float] | None = None) -> "Identification":
     """Identify from bags and instrument files (`identify/`). `parameters`: known beforehand;
-    `experiments`: None for all that the records allow; `namespace`: of two benches in one bag;
-    `phases`: of tensile tests, by file name or pattern of names; `stated`: what instruments' files
-    do not hold. Raises InputError: a record that cannot be read, or nothing to identify."""
+    `experiments`: None for all that the records allow; `namespace`: which of two benches in a bag;
+    `phases`: of tensile tests, by file name or pattern; `stated`: quantities missing in instrument
+    files. Raises InputError: a record that cannot be read, or nothing to identify."""
     from sma_bench.identify import identify
 
     load_aside(core.run, run_once)
@@ -47,8 +47,8 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
 
 def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
                    quantities: Sequence[str] = QUANTITIES, report: Report = silent) -> "Diagnosis":
-    """Diagnose the gap between bags of one bench and its model as believed (`diagnose/`), its
-    shrinkage on those of `hold_out`. InputError: a bag that cannot be read or compared."""
+    """Diagnose the gap between bags of one bench and its model with the stated parameters
+    (`diagnose/`), its shrinkage on `hold_out`. InputError: a bag cannot be read or compared."""
     from sma_bench.diagnose import diagnose
 
     load_aside(core.run, run_once)
@@ -60,21 +60,21 @@ def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Pa
 
 def write_identified(path: str | Path, result: "Identification", author: str,
                      sources: Sequence[str], template: str | Path | None = None) -> None:
-    """Write the parameters with what was identified; comments of the file `template` stay, and
-    that the model does not fit is the first. Raises InputError: the file cannot be written."""
+    """Write the identified parameters; comments of the file `template` are kept. If the model does
+    not fit well, the first comment says so. Raises InputError: the file cannot be written."""
     comment = f"Identified by {author} from {', '.join(sources)}".replace("\n", " ")
-    if said := result.fit_line:
-        comment = f"{said}.\n{comment}"
+    if fit := result.fit_line:
+        comment = f"{fit}.\n{comment}"
     origins = {name: f"identified, {result.origin(name)}" for name in result.estimates}
     write_parameters(path, result.parameters, comment, sources=origins, template=template)
 
 
 def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
-    """Write the improved parameters, if stated or learnt. InputError: it cannot be written."""
+    """Write those improved parameters that were stated or learnt. InputError: cannot write."""
     improved, stated = result.improved, result.parameters.given
-    told = {n for n in improved.given if (spread := BY_NAME[n].spread) is None
-            or improved.std(n) < _TOLD * spread}
-    names = [n for n in improved if n in stated | told]
+    learnt = {n for n in improved.given if (spread := BY_NAME[n].spread) is None
+            or improved.std(n) < _INFORMED * spread}
+    names = [n for n in improved if n in stated | learnt]
     sources = ", ".join(dict.fromkeys(view.path for view in result.observations))
     comment = f"Improved by {author} from {sources}".replace("\n", " ")
     write_parameters(path, result.improved, comment, names)

@@ -38,7 +38,7 @@ def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path
     # Two pairs show no scatter; what a person has stated stays.
     out.write_text(f"/**:\n  ros__parameters:\n    {name}: 0.002\n")
     assert main(["calibrate", "front_current", "0=0", "1=1", "2=2.01", "--out", str(out)]) == 2
-    assert f"holds {name} already" in capsys.readouterr().err
+    assert f"contains {name} already" in capsys.readouterr().err
     before, again = out.read_text(), ["calibrate", "supply", *pairs, "--out", str(out)]
     assert (main(again), main(again)) == (0, 2)
     assert "--force replaces it" in capsys.readouterr().err

@@ -51,9 +51,9 @@ OTHER = {"opposing_wires": 0.6, "slack": 0.3, "ambient_drift+slack": 0.05}
 @pytest.mark.parametrize(("said", "wrong", "words"), [
     (answer({"slack": 0.97}), False, "slack, probability 0.97: right."),
     (answer({"slack+ambient_drift": 0.9}), False, "right, but not alone."),
-    (answer(OTHER), True, "WRONG; it gave the truth 0.35."),
-    (answer(OTHER, "ambiguous"), False, "it gave the truth 0.35."),
-    (answer({"recalibration": 0.9, "slack": 0.1}, "recalibration"), True, "the truth 0.10."),
+    (answer(OTHER), True, "WRONG; it gave the true cause 0.35."),
+    (answer(OTHER, "ambiguous"), False, "it gave the true cause 0.35."),
+    (answer({"recalibration": 0.9, "slack": 0.1}, "recalibration"), True, "the true cause 0.10."),
 ])  # fmt: skip
 def test_the_reveal_says_whether_the_first_choice_was_right(said, wrong, words):
     """Confidently wrong is a cause, or near certainty, beside the truth."""
@@ -88,7 +88,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     hidden = read_parameters(out / "simulated_gap" / "hidden.yaml")
     assert demo.hidden_effect(hidden)[0] == "slack"
     assert (found.verdict, found.cause) == ("effect", ("slack",))
-    verdict, _, revealed = printed.partition("The truth, from")
+    verdict, _, revealed = printed.partition("True parameters, from")
     assert "slack explains the gap" in " ".join(verdict.split())
     assert "The bench hid" not in verdict
     assert "The bench hid slack (mechanical)" in revealed and ": right." in revealed

@@ -78,7 +78,7 @@ def test_a_folder_is_begun_with_nothing_stated_and_one_of_other_things_stays(lab
     (tmp_path / "gap").mkdir()
     (tmp_path / "gap" / "improved.yaml").write_text("mine")
     assert investigate(lab, "--folder", str(tmp_path / "gap")) == 2
-    assert "is not empty, and no investigation" in capsys.readouterr().err
+    assert "is not empty and holds no investigation" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "gap").iterdir()] == ["improved.yaml"]
 
 

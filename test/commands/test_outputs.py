@@ -130,7 +130,7 @@ def test_an_input_and_its_folder_are_not_replaced_even_by_force(name, option, ki
         pairs = [(folder, folder), (folder, folder / "run.mcap")]
     for target, given in pairs:
         said = refused(*words_for(name, option, target, given), "--force")
-        assert "an input, or the folder of one" in said
+        assert "is an input or contains one" in said
     assert content(lab) == before
 
 
@@ -145,7 +145,7 @@ def test_a_part_of_an_input_two_of_one_name_and_one_among_several_are_refused(la
     before = content(lab)
     assert "an input" in refused("info", bag, "--json", bag / "metadata.yaml", "--force")
     said = refused("parameters", "--out", lab / "both", "--json", lab / "both")
-    assert "--out and --json name the same" in said
+    assert "given for --out and --json" in said
     said = refused("import", *tables, "--out", lab / "week")
     assert "tuesday: exists already" in said and not (lab / "week" / "monday").exists()
     said = refused("batch", "identify", lab / "run", "--out", lab / "results")

@@ -42,7 +42,7 @@ def test_a_bag_of_another_robot_is_shown_and_refused(tmp_path, write_bag, messag
         record["wire.voltage"]
     assert main(["info", str(bag)]) == 2
     shown = capsys.readouterr()
-    assert "nothing of a bench in it, expected topics" in shown.err
+    assert "holds no topic of a bench, expected those" in shown.err
     assert "no signal of the bench contract" in shown.out and "/chatter" in shown.out
 
 

@@ -40,7 +40,7 @@ def rows(result, asked=None):
 
 def test_a_card_carries_the_facts_of_a_diagnosis():
     found = rows(diagnosed())
-    assert list(found) == ["cause", "where", "error", "rivals", "left", "missing", "next"]
+    assert list(found) == ["cause", "where", "error", "rivals", "other", "missing", "next"]
     assert "0.3012 ± 0.0021 ohm" in found["cause"][0] and "80 %" in found["where"][0]
     worst, quiet = found["error"]
     assert worst.startswith("current") and "98 % [95, 99]" in worst and "temperature" in quiet

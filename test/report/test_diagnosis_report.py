@@ -38,7 +38,7 @@ def test_the_page_makes_the_argument_in_order_with_every_figure(page, planted_di
     titles = [title.rpartition(". ")[2] for title in re.findall(r"<h2>(.*?)</h2>", text)]
     assert titles[:2] == ["Is there a gap beyond the noise?", "Where is it?"]
     assert titles[2:4] == ["Which effect, and how sure?", "How far does it shrink?"]
-    assert titles[4:] == ["What next?", "What was looked at", "Provenance"]
+    assert titles[4:] == ["What next?", "Which data were used?", "Provenance"]
     names = {path.stem.removeprefix("diagnosis_") for path in folder.glob("*.png")}
     maps = {"where", "evidence"}
     assert names == {"current", "temperature", "deflection"} | maps
@@ -67,6 +67,6 @@ def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis
     lines = [line.get_label() for p in pictures for line in p.figure.axes[0].lines]
     assert "an input to the thermal stage" in lines
     text = write_diagnosis_report(tmp_path, result).read_text()
-    assert "The shape of what is missing" in text and "the heat is missed most" in text
+    assert "What no effect explains" in text and "misses the heat most" in text
     drawn = {path.stem for path in tmp_path.glob("diagnosis_missing_*.png")}
     assert drawn & {"diagnosis_missing_back_1_temperature", "diagnosis_missing_deflection"}

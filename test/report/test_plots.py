@@ -107,7 +107,7 @@ def test_a_report_replaces_a_report_whole_and_nothing_else(tmp_path, monkeypatch
     folder = tmp_path / "r"
     folder.mkdir()
     (folder / "index.html").write_text("<p>my page</p>")
-    with pytest.raises(InputError, match="index.html, which is not of a report"):
+    with pytest.raises(InputError, match="index.html, which is not part of a report"):
         write_report(folder, "T", "s", sections)
     assert [p.name for p in folder.iterdir()] == ["index.html"]
     (folder / "index.html").unlink()
