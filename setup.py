@@ -28,8 +28,8 @@ NODES = [
     "bench",  # several of them in one process
 ]
 
-# What the package imports, but for ROS, which pip cannot install; the oldest versions are those of
-# Ubuntu 24.04 (requirements-noble.txt).
+# Imported packages, except ROS, which pip cannot install. The oldest versions are those of Ubuntu
+# 24.04 (requirements-noble.txt).
 REQUIRED = [
     'backports-zstd; python_version < "3.14"',
     "click>=8.1",
@@ -52,18 +52,18 @@ REQUIRED = [
     "tornado",
 ]
 
-# Files of the package beside its Python, by their ending.
+# Endings of the package's data files.
 KINDS = ("html", "css", "svg", "js", "j2", "yaml")
 
-# Of `setup.py install` and `develop`, which colcon runs: setuptools' own searches the metadata of
-# everything installed first, and a Ctrl-C during that is a traceback.
+# Executable written by `setup.py install` and `develop`, which colcon runs. The one of setuptools
+# first searches the metadata of all installed packages, where Ctrl-C prints a traceback.
 SCRIPT = f"""\
 import os
 import signal
 
 for number in (signal.SIGINT, signal.SIGTERM):
     signal.signal(number, lambda *_: os._exit(0))
-signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # one that came before is heard now
+signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])  # handle one that came before
 if __name__ == "__main__":
     if %(name)r == "sma-bench":
         from {PACKAGE}.cli import script
@@ -75,12 +75,12 @@ if __name__ == "__main__":
 """
 
 
-# The interpreter's own start answers a Ctrl-C with a traceback, before a line of ours: it waits.
+# Ctrl-C is blocked while Python starts, because it would print a traceback before our code runs.
 WAITING = ["/usr/bin/env", "-S", "--block-signal=INT"]
 
 
 def use_own_script():
-    """Another setuptools may have it elsewhere: its own then serves, a little later."""
+    """Make setuptools write SCRIPT; another version may not have this class, and writes its own."""
     for module in ("setuptools._scripts", "setuptools.command.easy_install"):
         try:
             writer = import_module(module).ScriptWriter
@@ -94,18 +94,18 @@ def use_own_script():
 
 
 def waiting_header(spec, header):
-    """setuptools' own first line, behind the waiting."""
+    """The first line of setuptools, run by `env` with SIGINT blocked."""
     return f"#!{' '.join(WAITING)} {header(spec).removeprefix('#!')}"
 
 
 def can_wait():
-    """Whether `env` is that of GNU, 8.31 or newer."""
+    """True if `env` is from GNU coreutils 8.31 or newer."""
     said = subprocess.run([WAITING[0], WAITING[2], "true"], check=False, capture_output=True)
     return said.returncode == 0
 
 
 def shared_files(*folders):
-    """Data files that keep their folders below share/<package>."""
+    """Data files, installed in the same folders below share/<package>."""
     for folder in folders:
         for directory, _, names in os.walk(folder):
             files = [os.path.join(directory, name) for name in sorted(names) if name[0] != "."]
@@ -130,7 +130,7 @@ setup(
         *shared_files("config", "examples", "launch", "firmware"),
     ],
     install_requires=REQUIRED,
-    # `test` is what makes `colcon test` run pytest; the package works without the others.
+    # `test` makes `colcon test` run pytest; all of these are optional.
     extras_require={
         "cluster": ["distributed"],
         "notebook": ["pandas"],

@@ -1,7 +1,7 @@
 """Test bench software for shape-memory-alloy actuators (Keshtkar et al.).
 
 For notebooks: `sma_bench.load`, `simulate`, `measure`, `identify`, `diagnose`, `compare`,
-`to_frame`, and what else `sma_bench.api` lists, which is imported at its first use."""
+`to_frame` and the other names of `sma_bench.api`, which is imported when one is first used."""
 
 import sys
 from importlib import import_module
@@ -12,7 +12,7 @@ from sma_bench.drawn import Drawn
 from sma_bench.installation import VERSION
 
 if TYPE_CHECKING:
-    from sma_bench.api import *  # what type checkers see; the list below is its `__all__`
+    from sma_bench.api import *  # for type checkers; the same names as below
 
 __version__ = VERSION
 __all__ = ["Diagnosis", "Identification", "InputError", "Overlay", "Parameters", "Record", "Signal",
@@ -21,8 +21,8 @@ __all__ = ["Diagnosis", "Identification", "InputError", "Overlay", "Parameters",
 
 
 class _Package(ModuleType):
-    """`sma_bench.identify` and `sma_bench.diagnose` are functions here and rooms of the package; an
-    import of the room would put the room in the function's place, were it not for a property."""
+    """`sma_bench.identify` and `sma_bench.diagnose` are functions, but also subpackages: importing
+    such a subpackage would overwrite the function, if it were not a property."""
 
 
 def _on_first_use(name: str) -> property:
@@ -37,7 +37,7 @@ def _on_first_use(name: str) -> property:
 
 
 def __dir__() -> list[str]:
-    """What completion offers: the public names."""
+    """The public names, for completion."""
     return ["__version__", *__all__]
 
 

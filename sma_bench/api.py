@@ -1,7 +1,7 @@
-"""What `import sma_bench` gives a notebook: the commands' and nodes' own functions on arrays.
+"""The functions of `import sma_bench`, for notebooks: those of commands and nodes, with arrays.
 
-Everything is in SI units (K, V, A, m, Pa, s). Whatever a user can get wrong raises `InputError`, a
-ValueError of one line. Nothing is computed here: see the room that each function names."""
+Everything is in SI units (K, V, A, m, Pa, s). Wrong input raises `InputError`, a ValueError with a
+message of one line. Nothing is computed here: see the packages imported below."""
 
 import os
 import warnings
@@ -45,12 +45,12 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
         source: path of a bag or of an instrument file (a record of its own kind); a mapping of
             contract names (`wire.voltage`) to arrays (n,) in SI units on the shared clock `time`
             (n,) s, or to pairs (time, values); a pandas DataFrame with such columns; a simulation,
-            which is then read exactly; a record as it is.
-        namespace: where two benches are in one bag, the one to take.
-        units: of a logger's table, by column.
-        params: of a logger's table, the rig's parameter file.
+            read without noise; or a record, returned as it is.
+        namespace: which bench to use, if the bag holds two.
+        units: of the columns of a logger's table, by name.
+        params: the rig's parameter file, for a logger's table.
 
-    Raises InputError: nothing readable, or arrays that do not fit each other."""
+    Raises InputError: not readable, or arrays of different lengths."""
     if isinstance(source, AnyRecord):
         return source
     if isinstance(source, Simulation):
@@ -70,8 +70,8 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
 def load_parameters(source: Any = None) -> Parameters:
     """Parameters of a bench, each with its uncertainty. `source`: path of a ROS 2 parameter file; a
     mapping of names to values, flat (`{"wire.resistance": 2.8, "uncertainty.wire.resistance":
-    0.02}`) or nested; None for the defaults; parameters as they are. Raises InputError: unreadable
-    file, unknown name, wrong type or a value out of its range."""
+    0.02}`) or nested; None for the defaults; or parameters, returned as is. Raises InputError:
+    unreadable file, unknown name, wrong type or a value out of its range."""
     if isinstance(source, Parameters):
         return source
     if source is None:
@@ -86,20 +86,20 @@ def load_parameters(source: Any = None) -> Parameters:
 
 def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float] | None = None,
              rate: float = 100.0) -> Simulation:
-    """The paper's model, and what effects are switched on, under given voltages.
+    """Simulate the paper's model, with effects if switched on, for given voltages.
 
     Args:
         drive: name of a protocol, path of its file, or the mapping of such a file (`steps`); time
-            (n,) s and voltage (n, w) V, one column a channel, each held to the next sample, and
-            third, under `load.kind` displacement, the imposed elongation (n,) m; or anything that
-            `load` takes, whose measured voltages then drive it, whatever the bench's limit.
-        parameters: as for `load_parameters`; `bench.channels` says which rig it is.
+            (n,) s and voltage (n, w) V, one column per channel, each held to the next sample, and
+            third, for `load.kind` displacement, the imposed elongation (n,) m; or anything that
+            `load` takes: its measured voltages are used, also above the bench's limit.
+        parameters: as for `load_parameters`; `bench.channels` defines the rig.
         effects: size by name, `{"latent_heat": 12e3}`; other numbers by `name.number`.
-        rate: samples a second of a protocol.
+        rate: samples per second of a protocol.
 
     The simulation has `time` (n,) s, `voltage`, `current`, `temperature`, `martensite_fraction`,
-    `stress` (n, w), `deflection` (n,) m. Raises InputError: no such protocol or effect, one that
-    the load cannot have, wrong shapes, a voltage above the limit."""
+    `stress` (n, w), `deflection` (n,) m. Raises InputError: unknown protocol or effect, an effect
+    impossible with the load, wrong shapes, a voltage above the limit."""
     bench = load_parameters(parameters)
     for name, size in (effects or {}).items():
         with errors_in(f"effects: {name}"):
@@ -112,7 +112,7 @@ def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float]
         protocol = parse_protocol(drive, bench)
     stands = protocol is not None or (isinstance(drive, tuple) and len(drive) == 2)
     if stands and load_kind(bench) == "displacement":
-        warnings.warn("simulate: no motion given, the elongation is held at 0", stacklevel=2)
+        warnings.warn("simulate: no motion is imposed, the elongation is held at 0", stacklevel=2)
     if protocol is not None:
         if not 0.0 < rate <= 10_000.0:
             raise InputError(f"simulate: rate is {rate:g} Hz, expected 0 to 10000")
@@ -135,8 +135,8 @@ def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float]
 
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:
-    """A synthetic record: a simulation read through the simulator node's instruments. The same
-    `seed` of the noise, 0 or more, gives the same record. InputError: no simulation or seed."""
+    """A synthetic record: a simulation read by the sensors of the simulator node. The same `seed`
+    (0 or more) gives the same noise. InputError: not a simulation, or a wrong seed."""
     if not isinstance(simulation, Simulation):
         raise InputError(f"measure: {type(simulation).__name__} given, expected a simulation")
     if not isinstance(seed, int | np.integer) or seed < 0:
@@ -147,14 +147,14 @@ def measure(simulation: Simulation, seed: int = 1) -> Record:
 
 def identify(records: Any, parameters: Any = None,
              experiments: Iterable[str] | None = None) -> Identification:
-    """Parameters with standard errors from what the records hold.
+    """Identify parameters, with standard errors, from records.
 
     Args:
-        records: one of what `load` takes, or a list of them; they are combined.
+        records: anything that `load` takes, or a list of such; all are combined.
         parameters: what is known beforehand (mass, area, ...), as for `load_parameters`.
         experiments: one of E0 to E10, or several; all that the records allow when None.
 
-    `estimates` by name have `value`, `std`, `unit`; `parameters` are the given ones improved.
+    The result has `estimates` by name, with `value`, `std`, `unit`, and the updated `parameters`.
     Raises InputError: nothing to identify, or an experiment that the records do not allow."""
     wanted = [experiments] if isinstance(experiments, str) else experiments
     return _identify(_records(records), load_parameters(parameters), wanted)
@@ -162,16 +162,16 @@ def identify(records: Any, parameters: Any = None,
 
 def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
              signals: Sequence[str] = QUANTITIES) -> Diagnosis:
-    """Where bench and model disagree, which effect causes it, how far it shrinks.
+    """Find where bench and model disagree, which effect causes it, and how far the gap shrinks.
 
     Args:
-        records: bags of one bench, one or a list of what `load` takes.
-        parameters: as believed, `uncertainty.NAME` as priors; as for `load_parameters`.
-        hold_out: further ones, to measure the shrinkage on; when empty each record's last part.
-        signals: which quantities are compared, of current, temperature, deflection.
+        records: of one bench: anything that `load` takes, or a list of such.
+        parameters: as stated, with `uncertainty.NAME` as priors; as for `load_parameters`.
+        hold_out: records to measure the shrinkage on; if empty, the last part of each record.
+        signals: quantities to compare, of current, temperature, deflection.
 
     The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved` parameters,
-    `to_json()`. Raises InputError: no record, an instrument's file, nothing to compare."""
+    `to_json()`. Raises InputError: no record, an instrument file, or nothing to compare."""
     signals = (signals,) if isinstance(signals, str) else signals
     if unknown := sorted(set(signals) - set(QUANTITIES)):
         raise InputError(f"diagnose: signals {unknown[0]!r}, expected some of {list(QUANTITIES)}")
@@ -180,25 +180,25 @@ def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
 
 
 def compare(records: Any, models: Any = ()) -> Overlay:
-    """Records and models over each other: clocks aligned by the drive, differences in numbers.
+    """Overlay records and models: clocks aligned by the voltages, differences in numbers.
 
     Args:
-        records: one of what `load` takes, or a list of them, or a mapping of names to them; the
-            first is what the others are compared with.
-        models: parameters (as for `load_parameters`), a list or a mapping of names to them; each
-            is simulated under the voltages of the first record.
+        records: anything that `load` takes, a list of such, or a mapping of names to such; the
+            others are compared with the first.
+        models: parameters (as for `load_parameters`), a list or a mapping of names to such; each
+            is simulated with the voltages of the first record.
 
     `differences` has the largest first; `print` shows a table, `plot()` a figure. Raises
-    InputError: fewer than two in all, or nothing in common."""
+    InputError: fewer than two in all, or no signal in common."""
 
     def named(given: Any, kind: str) -> dict[str, Any]:
-        """Things by name: their own, that of their file, or a number."""
+        """Records or models by name: the given name, that of the file, or a number."""
         groups = {"uncertainty", *(name.partition(".")[0] for name in BY_NAME)}
         things = str | Path | Record | Parameters | Simulation
         if isinstance(given, Mapping) and not set(given) & set(BY_NAME) and all(
                 isinstance(v, things) or hasattr(v, "columns")
                 or (isinstance(v, Mapping) and name not in groups) for name, v in given.items()):
-            return dict(given)  # else it is one of them itself
+            return dict(given)  # otherwise the mapping is itself one record or model
         found: dict[str, Any] = {}
         for k, thing in enumerate(given if isinstance(given, list | tuple) else [given], 1):
             path = thing if isinstance(thing, str | Path) else getattr(thing, "path", "")
@@ -214,7 +214,7 @@ def compare(records: Any, models: Any = ()) -> Overlay:
     modelled: dict[str, Record] = {}
     for name, model in named(models, "model").items():
         bench = load_parameters(model)
-        if not modelled:  # readings as the first model's owner knows his sensors
+        if not modelled:  # correct the readings by the sensor calibration of the first model
             shown = {key: recording.as_calibrated(record, bench) for key, record in shown.items()}
         drive = recording.drive_of(first, recording.with_stated_lag(bench))
         run = bench_records.simulate_finely(*drive)
@@ -224,10 +224,10 @@ def compare(records: Any, models: Any = ()) -> Overlay:
 
 
 def to_frame(thing: Any) -> Any:
-    """A pandas DataFrame of a record or a result. `thing`: anything that `load` makes a `Record`
-    of: a column a signal, index `time` in s, units in `attrs["units"]`, NaN where a signal has no
-    sample (`load` takes it back); an identification: a row a parameter; a diagnosis: a row a
-    candidate. Raises InputError: pandas is not installed, or what is given has no such table."""
+    """A pandas DataFrame. Of a record (anything that `load` takes): a column per signal, index
+    `time` in s, units in `attrs["units"]`, NaN where a signal has no sample; `load` reads such a
+    frame. Of an identification: a row per parameter. Of a diagnosis: a row per candidate. Raises
+    InputError: pandas is not installed, or `thing` has no table."""
     rows: dict[str, dict[str, Any]] = {}
     if isinstance(thing, Identification):
         index = "parameter"
@@ -251,7 +251,7 @@ def _recorded(signals: Sequence[Signal], name: str) -> Record:
 
 
 def _records(given: Any) -> list[AnyRecord]:
-    """Records of sources; of a workbook those of all its sheets."""
+    """All records of the sources; a workbook has one per sheet."""
     records: list[AnyRecord] = []
     for source in given if isinstance(given, list | tuple) else [given]:
         records += open_records(source) if isinstance(source, str | Path) else [load(source)]
@@ -261,5 +261,5 @@ def _records(given: Any) -> list[AnyRecord]:
 def _bags(records: Sequence[AnyRecord]) -> list[Record]:
     for record in records:
         if not isinstance(record, Record):
-            raise InputError(f"{record.path}: an instrument's file, expected a record of a bench")
+            raise InputError(f"{record.path}: an instrument file, expected a record of a bench")
     return [record for record in records if isinstance(record, Record)]

@@ -1,4 +1,4 @@
-"""What arrays hold; docstrings give their shapes, (n,) say, and units."""
+"""Types of arrays; docstrings give shapes, like (n,), and units."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,7 @@
-"""The border: what comes from outside is bounded here in bytes, depth and time before it is used.
+"""Safe input and output: data from outside are limited in bytes, depth and time.
 
-Whoever reads files, topics or bags, which may have been made to harm, takes them from here, or
-spends a Budget on them. Names go out again as `printable` text, files whole, by `write_files`."""
+Files, topics and bags may be hostile: read them by these functions, or with a Budget. Show names
+from outside by `printable`; write files by `write_files`, which writes all or none."""
 
 import contextlib
 import hashlib
@@ -24,29 +24,29 @@ import yaml
 from sma_bench.errors import InputError, errors_in
 
 MEGABYTE = 1 << 20
-LARGEST_YAML = LARGEST_TOPIC = MEGABYTE  # the latter of JSON in one message
-LONGEST_SHOWN, DEEPEST = 500, 64  # characters of a topic's text, where people see it; levels
-# What a bag or table may unfold to, and how long that may take: more than any recorder's asks for.
+LARGEST_YAML = LARGEST_TOPIC = MEGABYTE  # the latter: JSON in one message
+LONGEST_SHOWN, DEEPEST = 500, 64  # characters of a topic's text shown to users; levels of nesting
+# Limits of unpacking a bag or table, in bytes and s: more than any recorder's files need.
 _BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
 _SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
-_LOOK = 16 * 1024  # bytes, between two looks at the clock
-_LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
+_LOOK = 16 * 1024  # bytes between two checks of the time
+_LARGEST_INTEGER = 2**63  # the range of ROS parameters and messages
 _LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
-_STILL_HELD = 2.0  # s for which a name may still be held by a process that is ending
-_PEER = struct.Struct("3i")  # process, user and group at a socket's other end
+_STILL_HELD = 2.0  # s that a process which is ending may still hold a name
+_PEER = struct.Struct("3i")  # process, user and group at the other end of a socket
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-_TELLING = (  # signs of units and letters that an encoding makes out of bytes
+_TELLING = (  # characters that are plausible in a logger's file, if decoded rightly
     r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
     r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])|[ぁ-んァ-ヶ一-龥]{2}"
 )
 
 
 class OverBudget(InputError):
-    """An input that asks for more than its kind may."""
+    """An input exceeds the limits for its kind."""
 
 
 class Budget:
-    """What one input may take while it is unfolded: bytes, and s of this thread's CPU time."""
+    """Limits for unpacking one input: bytes, and s of this thread's CPU time."""
 
     def __init__(self, size: int, seconds: float) -> None:
         self.left = self.size = size
@@ -54,7 +54,7 @@ class Budget:
         self._next = size - _LOOK
 
     def take(self, size: int) -> None:
-        """Spend bytes. Raises OverBudget: there are not so many left, or the time is over."""
+        """Spend bytes. Raises OverBudget: not enough bytes left, or the time is over."""
         self.left -= size
         if self.left < 0:
             raise OverBudget(f"unfolds to more than {self.size / MEGABYTE:.0f} MB")
@@ -63,7 +63,7 @@ class Budget:
             self.check()
 
     def check(self) -> None:
-        """Ask for the time. Raises OverBudget: it is over."""
+        """Raises OverBudget: the time is over."""
         if self.is_over():
             raise OverBudget(f"takes more than {self.seconds:.3g} s to read")
 
@@ -72,15 +72,15 @@ class Budget:
 
 
 def reading_budget(size: int) -> Budget:
-    """What reading files of `size` bytes may take."""
+    """The budget for reading files of `size` bytes."""
     return Budget(_BYTES + _BYTES_OF_EACH * size, _SECONDS + _SECONDS_OF_EACH * size)
 
 
 # --- files --------------------------------------------------------------------------------------
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
-    """A regular file, whole: a pipe would block and a device never end. Raises InputError:
-    unreadable, no regular file, or larger than `largest` bytes."""
+    """The content of a regular file (a pipe would block, a device never end). Raises InputError:
+    unreadable, not a regular file, or larger than `largest` bytes."""
     try:
         with open(path, "rb", opener=lambda name, how: os.open(name, how | os.O_NONBLOCK)) as file:
             _require_regular(path, os.fstat(file.fileno()).st_mode)
@@ -97,7 +97,7 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
 
 
 def read_text(path: str | Path, largest: int) -> str:
-    """A text file in UTF-8; raises as `read_bytes`, and for other bytes than text."""
+    """The content of a UTF-8 file. Raises InputError as `read_bytes`, and if it is not text."""
     try:
         return read_bytes(path, largest).decode("utf-8")
     except UnicodeDecodeError:
@@ -105,11 +105,11 @@ def read_text(path: str | Path, largest: int) -> str:
 
 
 def decoded_lines(content: bytes) -> list[str]:
-    """Lines of a text, whose accents and degree signs tell its encoding; InputError if binary."""
+    """Lines of a text; its accents and degree signs tell the encoding. InputError: binary."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", "replace").splitlines()
     if b"\0" in content:
-        raise InputError("holds zero bytes, expected a text file in UTF-8, or UTF-16 with its mark")
+        raise InputError("holds zero bytes, expected text in UTF-8, or UTF-16 with byte-order mark")
     with contextlib.suppress(UnicodeDecodeError):
         return content.decode("utf-8-sig").splitlines()
     texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman", "cp932")]
@@ -117,7 +117,7 @@ def decoded_lines(content: bytes) -> list[str]:
 
 
 def require_there(path: Path) -> None:
-    """InputError where there is neither a regular file nor a folder."""
+    """Raises InputError: there is neither a regular file nor a folder."""
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a zero byte in it
@@ -130,11 +130,11 @@ def require_there(path: Path) -> None:
 
 def _require_regular(path: str | Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: a pipe, socket or device, expected a regular file")
+        raise InputError(f"{path}: is a pipe, socket or device, expected a regular file")
 
 
 def is_inside(path: Path, folder: Path) -> bool:
-    """Whether a path lies in a folder once all links and `..` in both are followed."""
+    """True if a path lies in a folder, with all links and `..` in both resolved."""
     try:
         return path.resolve().is_relative_to(folder.resolve())
     except (OSError, ValueError, RuntimeError):  # no permission, a zero byte, a circle of links
@@ -144,9 +144,9 @@ def is_inside(path: Path, folder: Path) -> bool:
 # --- JSON and YAML ------------------------------------------------------------------------------
 
 def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> Any:
-    """What a JSON text of a topic, a service's answer or a file holds: numbers are finite, nothing
-    is nested deeper than DEEPEST. `where` leads the line of an error; `largest`: characters. Raises
-    InputError: too long, not JSON, too deep, or with a number that nothing can use."""
+    """Parse JSON of a topic, a service or a file. `where` begins an error message; `largest`: in
+    characters. Raises InputError: too long, not JSON, nested deeper than DEEPEST, a number that is
+    not finite or an integer beyond 64 bits."""
     def integer(digits: str) -> int:
         if not -_LARGEST_INTEGER <= int(digits) < _LARGEST_INTEGER:
             raise ValueError(f"an integer of {len(digits)} digits, expected one of 64 bits")
@@ -161,7 +161,7 @@ def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> An
         raise InputError(f"{where}: {len(text)} characters, expected at most {largest}")
     try:
         document = json.loads(text, parse_int=integer, parse_float=finite, parse_constant=finite)
-        json.dumps(document, ensure_ascii=False).encode()  # half characters cannot be
+        json.dumps(document, ensure_ascii=False).encode()  # refuses lone surrogates
     except (ValueError, RecursionError) as error:
         reason = printable(" ".join(str(error).split()))[:_LONGEST_REASON]
         raise InputError(f"{where}: not JSON: {reason}") from None
@@ -174,14 +174,14 @@ def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> An
     return document
 
 
-# What a field of a JSON object on a topic may be; a number is a float then.
+# Kinds of fields of a JSON object on a topic.
 TEXT, NUMBER, NUMBER_OR_NULL, COUNTS = "a text", "a number", "a number or null", "counts by name"
 AN_OBJECT, A_LIST = "an object", "a list"
 _KINDS = {dict: AN_OBJECT, list: A_LIST, str: TEXT, bool: "true or false", type(None): "null"}
 
 
 def read_json_object(text: str | bytes, where: str) -> dict[str, Any]:
-    """As `read_json`, for a text that must hold an object."""
+    """As `read_json`, for a text that must be a JSON object."""
     document = read_json(text, where)
     if not isinstance(document, dict):
         raise InputError(f"{where}: {_KINDS.get(type(document), NUMBER)}, expected a JSON object")
@@ -189,7 +189,7 @@ def read_json_object(text: str | bytes, where: str) -> dict[str, Any]:
 
 
 def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, Any]:
-    """Named fields of a JSON object, by kind. InputError: no such object, field or kind."""
+    """Required fields of a JSON object. InputError: not an object, a field is missing or wrong."""
     document = read_json_object(text, where)
     for name, kind in fields.items():
         if name not in document:
@@ -209,7 +209,7 @@ class _Loader(yaml.CSafeLoader):
         keys = set()
         for key, _ in node.value:
             if key.tag == "tag:yaml.org,2002:merge":
-                raise _refusal("merge keys (<<) are not taken", key)
+                raise _refusal("merge keys (<<) are not supported", key)
             if isinstance(key, yaml.ScalarNode) and key.value in keys:
                 raise _refusal(f"{key.value} stands twice", key)
             keys.add(key.value if isinstance(key, yaml.ScalarNode) else None)
@@ -225,7 +225,7 @@ class _Loader(yaml.CSafeLoader):
     def text(self, node: Any) -> str:
         found = str(self.construct_scalar(node))
         if any("\ud800" <= letter <= "\udfff" for letter in found):
-            raise _refusal("half a character, a surrogate without its other one", node)
+            raise _refusal("half a character (a lone surrogate)", node)
         return found
 
 
@@ -239,20 +239,20 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.integer)
 _Loader.add_constructor("tag:yaml.org,2002:str", _Loader.text)
 _Loader.add_constructor("tag:yaml.org,2002:value", _Loader.text)  # a plain =
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_yaml_seq)
-# Constructors of dates, sets and bases stumble over what they do not expect.
+# PyYAML's constructors of dates, sets and numbers raise these on unexpected text.
 _WRONG_YAML = (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError)
 
 
 def load_yaml(text: str, aliases: bool = False) -> Any:
-    """Parse YAML as ROS does. With `aliases` a kilobyte can stand for gigabytes: ask for types
-    before anything walks through it. InputError, without a name: not YAML, too long or too deep."""
+    """Parse YAML as ROS does. With `aliases`, a kilobyte can expand to gigabytes: check
+    types before you walk through it. InputError (no file name): not YAML, too long or too deep."""
     if len(text) > LARGEST_YAML:
         raise InputError(f"{len(text)} characters, expected at most {LARGEST_YAML}")
     try:
-        depth = 0  # the C parser goes down by its stack, and ends the process where that is over
+        depth = 0  # the C parser recurses, and a stack overflow would end the process
         for event in yaml.parse(text, Loader=yaml.CSafeLoader):
             if isinstance(event, yaml.AliasEvent) and not aliases:
-                raise _refusal("aliases (*name) are not taken", event)
+                raise _refusal("aliases (*name) are not supported", event)
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > DEEPEST:
@@ -266,7 +266,7 @@ def load_yaml(text: str, aliases: bool = False) -> Any:
 
 
 def read_yaml(path: str | Path, aliases: bool = False) -> Any:
-    """What a YAML file holds; of `aliases` see `load_yaml`. InputError: unreadable or not YAML."""
+    """The parsed content of a YAML file, as `load_yaml`. InputError: unreadable or not YAML."""
     text = read_text(path, LARGEST_YAML)
     with errors_in(str(path)):
         content = load_yaml(text, aliases)
@@ -276,7 +276,7 @@ def read_yaml(path: str | Path, aliases: bool = False) -> Any:
 # --- names and files on their way out ------------------------------------------------------------
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Text harmless to terminals and files: what is not printable is spelled out, but `keep`."""
+    r"""Text that is safe in terminals and files: unprintable characters, except `keep`, escaped."""
     if text.isprintable():
         return text
     hidden = {letter for letter in text if not letter.isprintable()} - set(keep)
@@ -284,13 +284,13 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def shown(text: str, longest: int = LONGEST_SHOWN) -> str:
-    """Text of a topic for people: one line, and not more of it than anybody reads."""
+    """Text of a topic for users: in one line, of limited length."""
     line = printable(" ".join(text[: 2 * longest].split()))
     return line if len(line) <= longest else line[:longest] + "\u2026"
 
 
 def csv_cell(text: str) -> str:
-    """Text for a spreadsheet: what begins like a formula, and is no number, gets an apostrophe."""
+    """Text for a spreadsheet: an apostrophe is put before text that could be run as a formula."""
     text = printable(text)
     with contextlib.suppress(ValueError):
         float(text)
@@ -299,16 +299,16 @@ def csv_cell(text: str) -> str:
 
 
 def make_folder(folder: Path) -> Path:
-    """The folder, made where it is not there, and those above it; InputError where it cannot be."""
+    """Create a folder, with parents, if it does not exist. InputError: it cannot be created."""
     with errors_in(f"{folder}: cannot be made"):
         folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def claimed(name: str, said: str = "") -> socket.socket:
-    """Hold a name, of this machine's ROS domain or of what is `said` of it to others, until the
-    socket is closed or the process ends. Waits a moment for one that is about to end, as a node
-    that was killed. Raises InputError: it is held, by this process or another."""
+    """Claim a name on this machine until the socket is closed or the process ends. Names are
+    separate for each ROS domain, or for each `said`, which is also the error message. Waits a
+    moment for a process that is ending. InputError: this or another process holds the name."""
     said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
     named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
     address = f"\0sma_bench/{named.hexdigest()}"
@@ -332,8 +332,8 @@ def claimed(name: str, said: str = "") -> socket.socket:
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
-    """Write files so that all of them appear or none. A file that is replaced keeps its mode, and a
-    link stays one. Raises OSError: a folder cannot be written, or what is no file is in the way."""
+    """Write all files or none. A file that is replaced keeps its mode, and a link stays a link.
+    Raises OSError: a folder cannot be written, or something other than a file has the name."""
     def beside(target: Path, content: bytes, mode: int) -> Path:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")
         staged.callback(Path(name).unlink, missing_ok=True)
@@ -350,7 +350,7 @@ def write_files(files: Mapping[Path, bytes]) -> None:
             target = Path(os.path.realpath(path))
             mode = target.stat().st_mode if target.exists() else stat.S_IFREG | 0o666 & ~umask
             if not stat.S_ISREG(mode):
-                raise OSError(0, "something else than a file lies there")
+                raise OSError(0, "something other than a file has this name")
             new[target] = beside(target, content, stat.S_IMODE(mode))
             if target.exists() and len(files) > 1:
                 old[target] = beside(target, b"", 0o600)

@@ -21,11 +21,11 @@ from sma_bench.lifeline import end_with_parent
 if TYPE_CHECKING:
     import click
 
-# Objects made between two searches for circular garbage, instead of Python's 700: numba and scipy
-# bring many objects and none of that, and a short command spends some hundredths on looking.
+# Allocations between two runs of the garbage collector, instead of Python's 700: importing numba
+# and scipy creates many objects but no cycles, and collecting would take some 10 ms.
 _GARBAGE = 100_000
 
-LONGEST_LINE = 2000  # characters of an error: names in a file may be of any length
+LONGEST_LINE = 2000  # characters of an error message: names from a file may have any length
 _COMPLETE = "_SMA_BENCH_COMPLETE"
 
 _HELP = """usage: sma-bench COMMAND [options]
@@ -54,10 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     end_with_parent(inherited=True)
     try:
         status = _dispatch(arguments)
-        sys.stdout.flush()  # a reader that has left is noticed here, not when Python ends
+        sys.stdout.flush()  # raise BrokenPipeError here, not while Python exits
         return status
     except InputError as error:
-        from sma_bench.border import printable  # --help does without YAML
+        from sma_bench.border import printable  # imports YAML, which --help need not load
 
         line = printable(str(error))
         end = "" if len(line) <= LONGEST_LINE else "..."
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def script() -> None:
-    """What the executable of colcon's installation runs, which ends in silence until here."""
+    """Entry point of colcon's executable, which until now exited silently on a signal."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     sys.exit(main())
@@ -99,12 +99,12 @@ def _dispatch(arguments: list[str]) -> int:
 
 
 def load_command(name: str) -> "click.Command":
-    """The command of a name of COMMANDS; nothing else of the package is loaded for its help."""
+    """The command of this name; imports only its own module, so that the help loads quickly."""
     return getattr(importlib.import_module(f"sma_bench.commands.{MODULES[name]}"), f"run_{name}")
 
 
 def _complete() -> None:
-    """Answer the shell, which asks by a variable of the environment, and end."""
+    """Answer a completion request of the shell, which is in _SMA_BENCH_COMPLETE, and exit."""
     import click
 
     class Commands(click.Group):
@@ -119,7 +119,7 @@ def _complete() -> None:
 
 def _show_warning(message: Warning | str, category: object, filename: str, lineno: int, *_: object,
                   **__: object) -> None:
-    """A line for what this package warns of; a library's advice to its programmers is left out."""
+    """Show warnings of this package in one line; ignore those of libraries."""
     if not filename.startswith(os.path.dirname(__file__)):
         return
     from sma_bench.border import printable

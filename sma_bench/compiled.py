@@ -33,35 +33,35 @@ _turns: set[Path] = set()
 
 @cache
 def warn_if_plain() -> None:
-    """A warning, once a process, where simulations run without numba."""
+    """Warn once per process that simulations run without numba."""
     if numba is None:
         slow = "simulations run as plain Python, a hundred times slower"
         warnings.warn(f"numba is not installed: {slow}", RuntimeWarning, stacklevel=3)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile `function` at its first call and cache the machine code on disk. It lets go of the
-    GIL while it runs, so threads simulate side by side."""
+    """Compile `function` at its first call and cache the machine code on disk. It releases the GIL
+    while it runs, so that threads run in parallel."""
     return _cached(function, _OPTIONS)
 
 
 def borrowing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`, for a function that allocates nothing: it does not count references, as its
-    caller holds all arrays. Where named tuples of arrays go from function to function, the counting
-    takes several times as long as the arithmetic."""
+    """As `compiled`, without reference counting, for a function that allocates nothing and whose
+    caller keeps all arrays alive. With named tuples of arrays as arguments, counting would take
+    several times as long as the arithmetic."""
     return _cached(function, {**_OPTIONS, "_nrt": False})
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile `function` into the `borrowing` functions that call it."""
+    """Inline `function` into the `borrowing` functions that call it."""
     if numba is None:
         return function
     return numba.njit(function, **_OPTIONS, _nrt=False, forceinline=True)
 
 
 def is_compiled(function: Callable[..., Any]) -> bool:
-    """Whether machine code of a compiled function is on the disk; that of the physics takes 20 s,
-    once after an installation. Without numba there is nothing to wait for."""
+    """True if machine code of a compiled function is on disk, or there is no numba. Compiling the
+    physics takes 20 s, once after an installation."""
     if numba is None:
         return True
     source = getattr(function, "py_func", function)
@@ -72,14 +72,14 @@ def is_compiled(function: Callable[..., Any]) -> bool:
 
 
 def load_aside(function: Callable[..., Any], use: Callable[[], None]) -> None:
-    """Have machine code of a compiled function that is on the disk read in a thread, by a `use` of
-    it: 0.2 s for the physics, most of them without the interpreter's lock, while files are read."""
+    """Load machine code of a compiled function from disk in a thread, by calling `use`: 0.2 s for
+    the physics, mostly without the GIL, so that files can be read meanwhile."""
     if is_compiled(function):
         threading.Thread(target=use).start()
 
 
 def when_compiling(notify: Callable[[], None]) -> None:
-    """Have `notify` called once, when this process first compiles, or waits for one that does."""
+    """Call `notify` once, when this process first compiles or waits for another that does."""
     _listeners.append(notify)
 
 
@@ -93,7 +93,7 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[.
     finally:
         numba.config.CACHE_DIR = before
     compile_it = dispatcher.compile
-    # Of several processes that need a function one compiles, the others then read what it kept.
+    # If several processes need a function, one compiles it, the others wait and load its code.
     def compile_in_turn(signature: Any) -> Any:
         if signature in dispatcher.overloads or is_compiled(function):
             return compile_it(signature)
@@ -106,7 +106,8 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[.
 
 @contextmanager
 def _turn(folder: Path | None) -> Iterator[None]:
-    """The compiler's own lock first: who has it may come here again, for what a function calls."""
+    """This process's turn to compile. Takes numba's lock first, because a compiling function comes
+    here again for each function that it calls."""
     from numba.core.compiler_lock import global_compiler_lock
 
     with global_compiler_lock:
@@ -125,15 +126,15 @@ def _turn(folder: Path | None) -> Iterator[None]:
 
 
 def _room(function: Callable[..., Any]) -> Path:
-    """The folder whose files a compiled function may be made of: all of the physics, or its own."""
+    """The folder with all sources of a compiled function: the physics, or its own folder."""
     source = Path(function.__code__.co_filename).resolve()
     return PHYSICS if source.is_relative_to(PHYSICS) else source.parent
 
 
 @cache
 def _cache_folder(room: Path) -> Path | None:
-    """Where a room's machine code lies: numba notices changes of a function's own file only, so
-    the name holds a digest of every file of the room. None where nothing can be written."""
+    """Folder for the machine code of the sources in `room`. Its name contains a digest of them all:
+    numba notices changes of a function's own file only. None if no folder can be written."""
     digest = hashlib.sha256()
     for path in sorted(room.rglob("*.py")):
         digest.update(path.read_bytes())
@@ -150,19 +151,19 @@ def _cache_folder(room: Path) -> Path | None:
     return None
 
 
-# --- Work side by side in threads: the compiled core lets go of the interpreter's lock, and most of
-# a fit is the core's. Two run at a time, whatever calls whatever: work that is divided within one
-# thread gets the other as soon as that has nothing to do.
+# --- Work in parallel threads: the compiled core releases the GIL, and most of a fit runs in it.
+# There are two threads in all, also if `in_threads` is called within `in_threads`: an inner call
+# uses the helper thread if that is free.
 
 _THREADS = 2
-_helpers = threading.Semaphore(_THREADS - 1)  # that are free; who only waits lends its own place
-# s, for which a thread may keep the interpreter from one that comes back from the core after some
-# tenths of a millisecond; Python's own is 5 ms.
+_helpers = threading.Semaphore(_THREADS - 1)  # free helpers; a waiting caller counts as free
+# s, after which a thread yields the GIL. A call of the core takes some 0.1 ms; with Python's 5 ms,
+# the thread that returns from it would wait far too long for the other.
 _SWITCH = 2e-4
 
 
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
-    """Results in the order of the arguments, the first error raised."""
+    """Results of `function` for each of the arguments, in their order. Raises the first error."""
     if len(arguments) < 2 or not threads_to_spare() or not _helpers.acquire(blocking=False):
         return [function(*args) for args in arguments]
     waiting = iter(range(len(arguments)))
@@ -175,7 +176,7 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
                 found[k] = function(*arguments[k])
             except BaseException as fault:
                 faults[k] = fault
-                for _ in waiting:  # nothing more is begun
+                for _ in waiting:  # start no further calls
                     pass
         _helpers.release()
 
@@ -197,6 +198,6 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
 
 
 def threads_to_spare() -> int:
-    """How many run side by side; none in a pool, which has all cores."""
+    """Number of threads; 0 in a process of a pool, which uses all cores already."""
     alone = parent_process() is not None or os.environ.get("NUMBA_NUM_THREADS") == "1"
     return 0 if alone else _THREADS

@@ -1,4 +1,4 @@
-"""Controllers of the bench, without ROS: readings and references in, volts out."""
+"""Controllers of the bench, without ROS: from readings and references to voltages."""
 
 import math
 from collections.abc import Sequence
@@ -16,25 +16,25 @@ from sma_bench.physics import Bench, linearised, side_names
 from sma_bench.physics.linearised import Branch, OperatingPoint, SideModel
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
-# Room below the bench's limits, which switch off, for the model's error [K], for a sensor's noise.
-TEMPERATURE_MARGIN, CURRENT_SHARE = 10.0, 0.9
+TEMPERATURE_MARGIN = 10.0  # K below the limit at which the bench switches off: errors of the model
+CURRENT_SHARE = 0.9  # of the limit at which the bench switches off: sensor noise
 
 
 def require(subject: str, name: str, value: float, unit: str = "", zero: bool = False) -> None:
-    """InputError where a number is not finite, or not above 0; with `zero`, 0 is as good."""
+    """Raises InputError: a number is not positive and finite; with `zero`, 0 is allowed."""
     if not (0.0 < value < math.inf or (zero and value == 0.0)):
         expected = "0 or more" if zero else "positive and finite"
         raise InputError(f"{subject}: {name} is {value}{unit}, expected {expected}")
 
 
-# --- A PI controller with anti-windup, and the rule that tunes it. sat limits the output and its
-# rate; I has units of the output, so that gains may change without a bump.
+# --- A PI controller with anti-windup, and its tuning rule. sat limits the output and its rate; I
+# has the unit of the output, so that gains can change without a bump.
 #
 #     u = sat[u_ff + K (r - y) + I],   dI/dt = K/T_i (r - y) + (sat[u] - u)/T_i
 
 
 class Gains(NamedTuple):
-    """Of a PI controller: K, output per unit of error, and T_i [s]."""
+    """Gains of a PI controller: K (output per unit of error) and T_i [s]."""
 
     proportional: float
     integral_time: float
@@ -42,10 +42,10 @@ class Gains(NamedTuple):
     @classmethod
     def simc(cls, gain: float, time_constant: float, delay: float,
              closed_loop_time: float = 0.0) -> Self:
-        """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003):
-        K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). `gain`: k; times in s: tau,
-        theta, and of the closed loop tau_c, 0 for half of tau, or the delay if longer: slow enough
-        for T_i = tau, without overshoot. Raises InputError: a number that no plant has."""
+        """Gains for the plant k e^(-theta s)/(tau s + 1) by Skogestad's rule (SIMC, 2003):
+        K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). `gain`: k; times in s:
+        `time_constant` tau, `delay` theta, `closed_loop_time` tau_c (0: half of tau, or theta if
+        longer; slow enough for T_i = tau, without overshoot). InputError: a number out of range."""
         require("tuning", "time_constant", time_constant)
         require("tuning", "gain", abs(gain))
         require("tuning", "delay", delay, " s", zero=True)
@@ -62,29 +62,29 @@ class OutputLimits(NamedTuple):
     rate: float = math.inf
 
     def applied(self, output: float, last: float, dt: float) -> float:
-        """The output nearest to the wanted one; leaving the range's outside is never delayed."""
+        """The output limited in rate, then in range; the range takes precedence over the rate."""
         slowed = min(max(output, last - self.rate * dt), last + self.rate * dt)
         return min(max(slowed, self.low), self.high)
 
 
 class PI:
-    """One loop. Time comes in as dt; there is no clock."""
+    """One control loop; time is passed in as dt."""
 
     def __init__(self, gains: Gains, limits: OutputLimits) -> None:
         self.gains, self.limits = gains, limits
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything; the output starts from 0 or the limit nearest to it."""
+        """Reset the state; the output starts at 0, or at the limit nearest to 0."""
         self.take_over(0.0)
         self._integral = 0.0
 
     def take_over(self, output: float) -> None:
-        """Begin without a bump: without an error the next output is `output`."""
+        """Bumpless start: if the control error is 0, the next output is `output`."""
         self._integral = self._output = min(max(output, self.limits.low), self.limits.high)
 
     def step(self, reference: float, measured: float, dt: float, feedforward: float = 0.0) -> float:
-        """The output for the next `dt` s; InputError: a number not finite, or dt not above 0."""
+        """The output for the next `dt` s. InputError: a number is not finite, or dt not above 0."""
         require("PI", "dt", dt, " s")
         error = reference - measured
         if not math.isfinite(error + feedforward):
@@ -99,17 +99,17 @@ class PI:
 
 
 class Heating:
-    """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear. Limited by volts,
-    amperes, and the model's temperature, whatever a sensor says: a spot too wide reads low."""
+    """Heating power of the wires as control input: v = sqrt(P R) makes eq. (2) linear. Limited by
+    voltage, current and the model's temperature, because an infrared sensor may read too low."""
 
     def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
-        """The wires of a bench, at ambient. `maximum_power` W is below what its voltage and current
-        allow, 0 for that; `power_rate` W/s, 0 for no limit. InputError: a negative one."""
+        """Wires start at ambient. `maximum_power` in W, besides the limits of voltage and current
+        (0: only those); `power_rate` in W/s (0: no limit). InputError: a negative number."""
         require("heating", "maximum_power", maximum_power, zero=True)
         require("heating", "power_rate", power_rate, zero=True)
         drive, self._resistance = p["bench.drive"], heated_resistance(p)
         self._supply = p["bench.supply_voltage"] if drive == "duty" else 0.0
-        through = p["wire.resistance"] / p["wire.count"]  # of a channel
+        through = p["wire.resistance"] / p["wire.count"]  # ohm, of a channel
         through += p["bench.lead_resistance"] if drive != "current" else 0.0
         volt = float(heating_voltage(p["bench.maximum_voltage"], p))
         volt = min(volt, through * (CURRENT_SHARE * p["bench.maximum_current"]))
@@ -119,45 +119,46 @@ class Heating:
         self.loss, self.time_constant = heat_loss(p), time_constant(p)  # h A_c [W/K], s
         self.ambient = float(p["environment.ambient_temperature"])
         self.maximum_temperature = p["bench.maximum_temperature"] - TEMPERATURE_MARGIN
-        # (w,) K of the model, under the powers spent.
+        # (w,) K, simulated with the powers applied.
         self.temperature = np.full(len(p["bench.channels"]), self.ambient)
 
     def voltage(self, power: ArrayLike) -> Array:
-        """V, commanded, that heat with P [W]."""
+        """Commanded voltages for heating powers [W]."""
         square = np.asarray(power, float) * self._resistance
         return np.asarray(square / self._supply if self._supply else np.sqrt(square))
 
     def holding_power(self, temperature: ArrayLike) -> Array:
-        """P [W] that holds T [K]."""
+        """Powers [W] that hold temperatures [K]."""
         return self.loss * (np.asarray(temperature, float) - self.ambient)
 
     def power_toward(self, goal: ArrayLike, temperature: ArrayLike, dt: float) -> Array:
-        """P [W], of either sign, that leads from T to `goal` [K] within dt: eq. (2) inverted."""
+        """Powers [W], of either sign, that lead to `goal` [K] within dt: eq. (2) inverted."""
         decay = math.exp(-dt / self.time_constant)
         start = np.asarray(temperature, float)
         return self.holding_power((np.asarray(goal, float) - start * decay) / (1.0 - decay))
 
     def highest_power(self, dt: float) -> Array:
-        """(w,) W that neither the supply nor the highest temperature forbids for dt."""
+        """(w,) W, the limit for the next dt by the supply and the highest temperature."""
         limit = self.power_toward(self.maximum_temperature, self.temperature, dt)
         return np.clip(limit, 0.0, self.maximum_power)
 
     def spend(self, power: ArrayLike, dt: float) -> None:
-        """Powers (w,) [W] were applied for dt: eq. (2) solved."""
+        """Advance the model's temperatures by dt with powers (w,) [W]: eq. (2)."""
         steady = self.ambient + np.asarray(power, float) / self.loss
         decay = math.exp(-dt / self.time_constant)
         self.temperature = steady + (self.temperature - steady) * decay
 
 
 class TemperatureController:
-    """Reference and measured temperatures in, voltages out: one PI a wire, to power, in which the
-    wire is a lag, 1/(h A_c) over m c_p/(h A_c): gains follow by Skogestad's rule."""
+    """From reference and measured temperatures to voltages: one PI controller per wire, with power
+    as output. For power, the wire is a first-order lag with gain 1/(h A_c) and time constant
+    m c_p/(h A_c); the gains follow by Skogestad's rule."""
 
     def __init__(self, parameters: Parameters, period: float, *, delay: float = 0.0,
                  closed_loop_time: float = 0.0, maximum_power: float = 0.0,
                  power_rate: float = 0.0) -> None:
-        """For steps of `period` s. `delay`: s from a temperature to the power that answers it, and
-        half a period more; others: as `Gains.simc`, `Heating`. InputError: one out of range."""
+        """`period`: s per step. `delay`: s from a temperature to the power that reacts to it; half
+        a period is added. Others: see `Gains.simc`, `Heating`. InputError: one out of range."""
         require("temperature control", "period", period, " s")
         self.heating = Heating(parameters, maximum_power, power_rate)
         gain, late = 1.0 / self.heating.loss, 0.5 * period + delay
@@ -165,8 +166,8 @@ class TemperatureController:
         self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
 
     def step(self, reference: ArrayLike, measured: ArrayLike, dt: float) -> Array:
-        """Voltages (w,) [V] for the next `dt` s. `reference`, `measured`: (w,) K; NaN, or ambient
-        or less as a reference, switches a wire off. InputError: wrong shape, or dt not above 0."""
+        """Voltages (w,) [V] for the next `dt` s. `reference`, `measured`: (w,) K; NaN, or a
+        reference at or below ambient, switches a wire off. InputError: wrong shape or dt."""
         wanted, kelvin = (np.asarray(values, float) for values in (reference, measured))
         expected = (len(self._loops),)
         for name, values in (("reference", wanted), ("measured", kelvin)):
@@ -181,7 +182,7 @@ class TemperatureController:
                 self._loops[i] = None
                 continue
             limits = OutputLimits(0.0, highest, self.heating.power_rate)
-            if loop is None:  # a wire that is warm already goes on as it is
+            if loop is None:  # bumpless start of a wire that is warm already
                 loop = self._loops[i] = PI(self.gains, limits)
                 loop.take_over(float(self.heating.holding_power(now)))
             loop.limits = limits
@@ -191,7 +192,7 @@ class TemperatureController:
 
     @staticmethod
     def reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
-        """Why wire temperatures [K], one a channel, cannot be followed, or ""; ambient: off."""
+        """Why wire temperatures [K], one per channel, cannot be followed, or "" if they can."""
         channels = len(parameters["bench.channels"])
         highest = parameters["bench.maximum_temperature"] - TEMPERATURE_MARGIN
         if len(reference) != channels:
@@ -206,21 +207,22 @@ class TemperatureController:
 
 # --- Deflection control: feed-forward by the inverse model, feedback by the linear one.
 #
-# Feed-forward: a nominal bench runs along in software. For the wanted deflection of the side in
-# charge (the other side's remaining one added), the inverse of the model on the present branch of
-# the hysteresis gives the wires' temperature, and eq. (2) inverted the power that brings the
-# nominal wires there within one period, as far as power can: wires only heat.
-# Feedback: a PI on nominal minus measured deflection adds to that power. Gains are Skogestad's for
-# the linearised model, its gain interpolated along the branch between operating points.
-# Positive deflections are the front wires' work, negative ones the back wires'; at zero both rest.
+# Feed-forward: a nominal bench is simulated alongside. For the reference deflection of the active
+# side (plus what remains of the other side's), the inverse model on the present branch of the
+# hysteresis gives the temperature of the wires, and eq. (2) inverted the power that brings the
+# nominal wires there within one period, as far as possible: wires can be heated, not cooled.
+# Feedback: a PI controller on nominal minus measured deflection adds to that power. Its gains
+# follow by Skogestad's rule from the linearised model, interpolated between operating points of the
+# branch. The front wires are active at positive references, the back wires at negative ones, none
+# at zero.
 
-# Operating points of the gain schedule, as parts of the largest deflection. Near both ends, where
-# the gain goes to zero, the loop may slow down, not ask for more power.
+# Operating points of the gain schedule, as shares of the largest deflection. At both ends the plant
+# gain tends to 0; a floor of _LOWEST_PART of its middle value keeps the controller gain finite.
 _SCHEDULE, _LOWEST_PART, _LAST_REACHABLE = np.linspace(0.02, 0.98, 13), 0.5, 0.999
 
 
 class _Side(NamedTuple):
-    """A side before it moves: its wires (w,); deflections [m] and gains there [m/W], by branch."""
+    """A side at rest: its wires (w,); gain schedule: deflections [m] and gains [m/W], by branch."""
 
     name: str
     sign: float
@@ -230,7 +232,8 @@ class _Side(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Parameters, name: str, loss: float) -> Self:
-        # The linear model is the paper's; effects are the nominal bench's, as the inverse's law is.
+        # The schedule uses the paper's model; effects act in the nominal bench only, other laws in
+        # the inverse model, too.
         beyond = (*EFFECT_TABLE, *(BY_NAME[name] for name in SMOOTHER))
         parameters = parameters.replace({p.name: p.default for p in beyond})
         model = SideModel.of(parameters, name)
@@ -250,13 +253,13 @@ class _Side(NamedTuple):
 
 
 class DeflectionController:
-    """Reference and measured deflection in, voltages out."""
+    """From reference and measured deflection to voltages."""
 
     def __init__(self, parameters: Parameters, period: float, *, delay: float = 0.0,
                  closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
                  feedback: bool = True) -> None:
-        """As `TemperatureController`; `feedback`: False leaves the feed-forward alone, an open
-        loop. Raises InputError: the rig does not move, or a number out of range."""
+        """Arguments as `TemperatureController`; `feedback` False: feed-forward only. Raises
+        InputError: the rig does not move, or a number out of range."""
         require("deflection control", "period", period, " s")
         self.parameters, self._feedback = parameters, feedback
         self.heating = Heating(parameters, maximum_power, power_rate)
@@ -264,20 +267,20 @@ class DeflectionController:
         self._sides = [_Side.of(parameters, name, loss) for name in side_names(parameters)]
         self.gains = Gains.simc(1.0, self.heating.time_constant, late, closed_loop_time)
         self._coupled = load_kind(parameters) == "antagonist"
-        self._nominal = Bench(parameters)  # taken to be at rest
+        self._nominal = Bench(parameters)  # assumed to start at rest
         self._active: _Side | None = None
         self._ahead = 0.0
         self._loop = PI(self.gains, OutputLimits(0.0, self.heating.maximum_power))
 
     @property
     def nominal_deflection(self) -> float:
-        """Deflection [m] of the nominal bench, which the feedback follows."""
+        """Deflection [m] of the nominal bench, the reference of the feedback."""
         return self._nominal.deflection
 
     def step(self, reference: float, measured: float, dt: float,
              upcoming: float | None = None) -> Array:
-        """Voltages (w,) [V] for the next `dt` s. `reference`, and `upcoming` dt later: m, positive
-        toward the front; `measured`: m, NaN leaves the feed-forward alone. InputError: bad ones."""
+        """Voltages (w,) [V] for the next `dt` s. `reference` in m, positive to the front;
+        `upcoming`: the same dt later; `measured`: m, NaN: feed-forward only. Raises InputError."""
         goal = reference if upcoming is None else upcoming
         if not math.isfinite(reference + goal):
             raise InputError(f"deflection control: reference is {reference} m, expected finite")
@@ -289,7 +292,7 @@ class DeflectionController:
         nominal = np.zeros(len(self.parameters["bench.channels"]))
         applied = nominal.copy()
         if side is not None:
-            # Contraction that is wanted of this side, and the branch that leads there.
+            # Contraction wanted from this side, and the branch that leads there.
             model, others = side.model, 0.0
             now = dict(zip([s.name for s in self._sides], self._nominal.contraction, strict=True))
             if self._coupled:
@@ -299,7 +302,7 @@ class DeflectionController:
             wanted = abs(goal) / abs(model.lever) + max(others, 0.0)
             wanted = min(wanted, _LAST_REACHABLE * model.largest_contraction())
             branch: Branch = "heating" if wanted >= now[side.name] else "cooling"
-            # Power [W] of each of its wires toward it, as far as power can.
+            # Power [W] of each of its wires toward it, within the limits.
             state, wire = self._nominal.state, int(np.argmax(side.wires))
             kelvin, sigma = float(state.temperature[wire]), float(state.stress[wire])
             share = model.share(kelvin, sigma, float(state.martensite_fraction[wire]), branch)
@@ -307,7 +310,7 @@ class DeflectionController:
             toward = float(self.heating.power_toward(warm, kelvin, dt))
             highest = float(self.heating.highest_power(dt)[side.wires].min())
             limits = OutputLimits(0.0, highest, self.heating.power_rate)
-            # What the feed-forward cannot have must not wind up the feedback.
+            # Limit the feed-forward first: what it lacks must not wind up the feedback.
             self._ahead = limits.applied(toward, self._ahead, dt)
             nominal[side.wires] = applied[side.wires] = self._ahead
             if self._feedback and math.isfinite(measured):
@@ -323,7 +326,7 @@ class DeflectionController:
 
     @staticmethod
     def reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
-        """Why a deflection [m], the only element, cannot be followed, or ""."""
+        """Why a deflection [m], the only element, cannot be followed, or "" if it can."""
         (metres,) = reference
         if not math.isfinite(metres):
             return f"reference is {metres} m, expected a finite deflection"

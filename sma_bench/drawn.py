@@ -1,6 +1,6 @@
-"""What draws itself: `plot()` of records, simulations, overlays, identifications and diagnoses. The
-drawing room lies above all of them and brings matplotlib: the package itself, above both, gives it
-in, nothing here depends on it, and the first plot imports it."""
+"""`plot()` and `report()` as methods of records, simulations, overlays and results. They call the
+package `report`, which imports these types and matplotlib; so `sma_bench/__init__.py` passes it in
+as `drawing_room`, and it is imported at the first plot."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,27 +9,27 @@ from typing import Any, ClassVar
 
 
 class Drawn:
-    """What `plot` can draw; `drawing_room` imports a module of the room that draws."""
+    """Something with a `plot` method; `drawing_room` imports a module of the package `report`."""
 
     drawing_room: ClassVar[Callable[[str], ModuleType]]
 
     def plot(self, *what: str) -> Any:
         """A picture that a notebook shows, with the matplotlib `figure` and `save(path)` as PNG,
-        SVG, PDF or CSV. `what`, else what matters most: of a record, a simulation or an overlay
-        signals or quantities ("wire.current", "temperature"), of an identification "agreement", of
-        a diagnosis "signals", "where" or "evidence". Raises InputError: nothing has that name."""
+        SVG, PDF or CSV. `what`, optional: for a record, a simulation or an overlay, signals or
+        quantities ("wire.current", "temperature"); for an identification "agreement"; for a
+        diagnosis "signals", "where" or "evidence". Raises InputError: there is no such part."""
         return Drawn.drawing_room("plots").picture_of(self, *what)
 
 
 class Reported(Drawn):
-    """What has a page of its own too; `writer`: the module of the drawing room and its function."""
+    """Something that also has a page; `writer`: module and function of `report` that write it."""
 
     writer: ClassVar[tuple[str, str]]
 
     def report(self, folder: str | Path, *more: Any) -> Path:
-        """Write the page with its figures into a folder; the path of its index.html. Raises
-        InputError: the folder cannot be written, or holds what is not a report's. `more`: as the
-        function of the drawing room has it."""
+        """Write the page with its figures into a folder; the path of its index.html. `more`: other
+        arguments of the function in `report`. Raises InputError: the folder cannot be written, or
+        contains a foreign file of the same name."""
         module, function = self.writer
         page: Path = getattr(Drawn.drawing_room(module), function)(folder, self, *more)
         return page

@@ -1,4 +1,4 @@
-"""The one exception a user can cause, what it may add, and the one that nobody should see."""
+"""Exceptions for wrong input and for faults of this package; helpers for their messages."""
 
 import difflib
 from collections.abc import Iterable, Iterator
@@ -6,16 +6,16 @@ from contextlib import contextmanager
 
 
 class InputError(ValueError):
-    """Bad input: one line that says what, where, which value and what was expected."""
+    """Wrong input: a message of one line with what, where, which value and what was expected."""
 
 
 class FitError(RuntimeError):
-    """A fit has left the numbers of a bench: a fault of this package, whatever the records hold."""
+    """A fit left the range of a bench's numbers: always a fault of this package."""
 
 
 @contextmanager
 def errors_in(where: str) -> Iterator[None]:
-    """Error lines begin with where they were found; what the system refuses is one, too."""
+    """Put `where` in front of the message of an InputError; make an OSError an InputError."""
     try:
         yield
     except (InputError, OSError) as error:
@@ -24,6 +24,6 @@ def errors_in(where: str) -> Iterator[None]:
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """Say ", did you mean X?" where a known word is near, else nothing."""
+    """", did you mean X?" if a known word is similar, else ""."""
     close = difflib.get_close_matches(str(word), list(known), n=1)
     return f", did you mean {close[0]}?" if close else ""

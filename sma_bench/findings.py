@@ -1,4 +1,4 @@
-"""What a careful reader would remark about numbers, a record or a fit."""
+"""Findings: infos, warnings and errors about parameters, records and fits."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -9,17 +9,17 @@ Severity = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """A remark with the numbers it rests on."""
+    """A remark with the numbers it is based on."""
 
     severity: Severity
     subject: str  # what it is about: a parameter, a signal, an experiment
     text: str
     numbers: dict[str, float] = field(default_factory=dict)  # behind `text`, in SI units
-    audit: bool = False  # of parameters that were given, not of what was measured
+    audit: bool = False  # about the stated parameters, not about measurements
 
     @classmethod
     def read(cls, line: str) -> "Finding":
-        """From what `str` makes of one; whatever else it is, it is no more than an info."""
+        """Parse the text that `str` gives; any other text becomes an info."""
         severity, _, rest = line.partition(": ")
         subject, _, text = rest.partition(": ")
         if severity not in get_args(Severity):
@@ -35,12 +35,12 @@ class Finding:
 
 
 def fold_audit(findings: Sequence[Finding]) -> tuple[list[Finding], list[Finding]]:
-    """The findings without those of the parameters' audit, and those behind one line that stands
-    for them; both empty where there are none."""
+    """The findings without those of the parameters' audit; and the latter, if any, after one that
+    sums them up."""
     others, audited = ([f for f in findings if f.audit == is_one] for is_one in (False, True))
     clashes = [f.subject for f in audited if f.severity != "info"]
     papers = sum(int(f.numbers.get("clashes", 0)) for f in audited)
-    said = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "none clashes"
-    own = f", {papers} of the paper's own do" if papers else ""
-    line = f"of the lab's own numbers {said}{own}; sma-bench audit lists them"
+    said = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "no clash"
+    own = f"; the paper's own: {papers} clash" if papers else ""
+    line = f"stated parameters: {said}{own}; sma-bench audit lists them"
     return others, [Finding("info", "audit", line), *audited] if audited else []

@@ -1,5 +1,5 @@
-"""Which version this is, where its shared files (config/, launch/) are installed, and what its own
-processes ask of the libraries."""
+"""The version, the folder of the installed shared files (config/, launch/), and one setting of the
+numerical libraries."""
 
 import os
 import sys
@@ -12,16 +12,16 @@ VERSION = "0.1.0"
 
 
 def one_blas_thread() -> None:
-    """To be called before numpy is imported. The matrices of a fit are small: BLAS threads that
-    wait for each other nearly double the time of a diagnosis."""
+    """Use one BLAS thread; call it before numpy is imported. The matrices of a fit are small, and
+    threads that wait for each other nearly double the time of a diagnosis."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 
 
 def share_directory() -> Path:
-    """Folder that holds config/ and launch/: of the source tree (a checkout, an editable or a
-    symlinked install), else of the first prefix in AMENT_PREFIX_PATH that has it (a colcon
-    install), else of sys.prefix (pip install). Raises InputError: no such folder in any of them."""
+    """Folder with config/ and launch/: the source tree (a checkout, an editable or a symlinked
+    install), else the first in AMENT_PREFIX_PATH (a colcon install), else below sys.prefix (pip
+    install). Raises InputError: it is in none of them."""
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
     candidates = [Path(__file__).resolve().parents[1]]
     candidates += [Path(prefix) / "share" / PACKAGE for prefix in [*prefixes, sys.prefix]]

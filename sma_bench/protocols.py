@@ -1,15 +1,15 @@
 """Protocols and references (docs/how_to/own_protocol.md): piecewise-linear levels of every channel
-over time, read from YAML, every mistake in one line.
+over time, read from YAML.
 
-    load: force               # optional: what a bench without load.kind holds meanwhile
-    repeat: 2                 # optional, of the whole
+    load: force               # optional: load.kind for a bench that has none
+    repeat: 2                 # optional: repetitions of all steps
     steps:
       - {kind: triangle, name: heat, drive: front, peak: 6.0, rise: 30.0, fall: 30.0}
       - {kind: rest, duration: 60.0, until: settled}
 
-A reference, what a controller shall follow, has `unit: K` (wire temperatures, rest at ambient) or
-`unit: m` (deflection of the tip, positive toward the front) instead of a load. How far a bench can
-go is not known here: controllers refuse what it cannot reach."""
+A reference, which a controller follows, has `unit: K` (wire temperatures, rest at ambient) or
+`unit: m` (deflection of the tip, positive toward the front) instead of a load. What a bench can
+reach is not checked here but by the controllers."""
 
 import math
 from collections import deque
@@ -29,12 +29,11 @@ from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import LOAD_KINDS
 
-# s: a command clock sums periods; the rounding of that must not delay a step by a whole period.
-_TIME_ROUNDING = 1e-6
+_TIME_ROUNDING = 1e-6  # s: rounding errors of a sum of periods must not delay a step by a period
 _PAPER_FORCE = 1.0  # N, E6 (section III.B.1)
-# What still counts as settled: the means of the two halves of a window differ by less [K, m].
-_SETTLED_WITHIN, _SETTLING = {"temperature": 0.1, "deflection": 0.05e-3}, 5.0  # s
-# What ends a step before its time: of the hottest wire that it drives, or of the deflection.
+_SETTLED_WITHIN = {"temperature": 0.1, "deflection": 0.05e-3}  # K, m: means of a window's halves
+_SETTLING = 5.0  # s, default length of that window
+# Levels that end a step early: of the hottest wire that it drives, or of the deflection.
 _ENDS = {"temperature_above": "K", "temperature_below": "K", "deflection_above": "m",
          "deflection_below": "m"}
 
@@ -43,19 +42,19 @@ _ENDS = {"temperature_above": "K", "temperature_below": "K", "deflection_above":
 class Segment:
     """A straight line between two levels, one per channel."""
 
-    step: str  # what people and markers call it
+    step: str  # its name, also in markers
     duration: float  # s at most
     start: tuple[float, ...]
     stop: tuple[float, ...]
-    # What ends it earlier: levels by the names of _ENDS, s in which all must have `settled`, or
-    # one quantity (`temperature_settled`).
+    # Conditions that end it early: levels by the names of _ENDS, or s in which all quantities
+    # (`settled`) or one of them (`temperature_settled`) must have settled.
     until: Mapping[str, float] = field(default_factory=dict)
-    force: float | None = None  # N, what the load frame has come to by its end; None: as before
+    force: float | None = None  # N, of the load frame at the end of the segment; None: unchanged
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """Named segments for `channels`, `rest` before and after; `load`: load.kind if none given."""
+    """Segments for `channels`; `rest`: the level before and after; `load`: see `bench`."""
 
     name: str
     channels: tuple[str, ...]
@@ -65,7 +64,7 @@ class Protocol:
     load: str = ""
 
     def bench(self, parameters: Parameters) -> Parameters:
-        """The bench that runs it; one without a load holds `load.force`, or the paper's 1 N."""
+        """The bench that runs it: one wire without a load gets `load`, with `load.force` or 1 N."""
         if not self.load or parameters["load.kind"] or len(parameters["bench.channels"]) > 1:
             return parameters
         held = {"load.force": parameters["load.force"] or _PAPER_FORCE}
@@ -82,7 +81,7 @@ class Protocol:
 
     @property
     def duration(self) -> float:
-        """Length of the protocol in s; where steps wait for something, the longest."""
+        """Length of the protocol in s; if steps wait for a condition, the longest possible."""
         return float(self._edges[-1])
 
     @property
@@ -97,21 +96,21 @@ class Protocol:
 
     @property
     def pulls(self) -> bool:
-        """Whether its steps change the force that a load frame holds."""
+        """True if its steps change the force of a load frame."""
         return any(segment.force is not None for segment in self.segments)
 
     def forces(self, time: Array, first: float) -> Array:
-        """(n,) N that the load frame holds, `first` before any step says so."""
+        """(n,) N, force of the load frame; `first` until a step changes it."""
         held = [first]
         for segment in self.segments:
             held.append(held[-1] if segment.force is None else segment.force)
         return np.interp(time, self._edges, held)
 
     def voltage(self, t: float) -> Array:
-        """Voltage (w,) in V of every channel at `t` s; at a jump, the value after it."""
+        """Voltages (w,) in V at `t` s; at a jump, the value after it."""
         return self.voltages(np.array([t], dtype=float))[0]
 
-    level = voltage  # of a reference, K or m
+    level = voltage  # for a reference, in K or m
 
     def voltages(self, time: Array) -> Array:
         """Voltage (n, w) in V at `time` (n,) in s."""
@@ -143,17 +142,17 @@ class Protocol:
 
 
 class Waiting:
-    """Ends a protocol's steps by what is measured: readings in, s to pass over out (bench time)."""
+    """Ends steps early by their `until`: takes readings, returns s to skip. Times: bench time."""
 
     def __init__(self, protocol: Protocol) -> None:
         self.protocol = protocol
         self._segment, self._begun = -1, 0.0
-        # Newest value, and the last ones with their times, by quantity and channel.
+        # Latest value, and recent values with their times, by quantity and channel.
         self._last: dict[tuple[str, str], float] = {}
         self._since: dict[tuple[str, str], deque[tuple[float, float]]] = {}
 
     def heard(self, quantity: str, channel: str, value: float, time: float) -> None:
-        """A reading in K of a channel, or in m; NaN is none."""
+        """Take a reading of a channel in K, or of the deflection in m; NaN is ignored."""
         if np.isfinite(value):
             self._last[quantity, channel] = value
             history = self._since.setdefault((quantity, channel), deque())
@@ -164,14 +163,14 @@ class Waiting:
                 history.popleft()
 
     def passed_over(self, elapsed: float, time: float) -> float:
-        """s of the protocol left out at `elapsed` s: a step, one call at least, found its end."""
+        """s to skip at `elapsed` s: the rest of the segment if its condition holds, else 0."""
         index, left = self.protocol.place(elapsed)
         if index != self._segment:
             self._segment, self._begun = index, time
             self._since.clear()
             return 0.0
         segment = self.protocol.segments[index]
-        # Readings that count: of the wires that are driven, where any is.
+        # Readings that count: of the driven wires, if any is driven; and the deflection.
         levels = zip(self.protocol.channels, segment.start, segment.stop, strict=True)
         driven = {name for name, *ends in levels if {*ends} != {self.protocol.rest}}
 
@@ -200,16 +199,16 @@ TIP = "tip"
 
 
 class Quantity(NamedTuple):
-    """What the levels of a file are."""
+    """The kind of a protocol or reference file."""
 
-    what: str  # how error lines call such a file
-    folder: str  # below config, where named ones lie
+    what: str  # name of such a file in error messages
+    folder: str  # below config, with those of the package
     unit: str  # of the levels
-    key: str  # that the document may have besides a protocol's
-    tip: bool = False  # a step drives the tip, not channels
+    key: str  # of this kind of document, besides the common ones
+    tip: bool = False  # steps drive the tip instead of channels
 
     def targets(self, parameters: Parameters) -> tuple[str, ...]:
-        """Names that a step may drive."""
+        """What a step may drive."""
         return (TIP,) if self.tip else tuple(parameters["bench.channels"])
 
     def rest(self, parameters: Parameters) -> float:
@@ -222,22 +221,22 @@ DEFLECTION = Quantity("reference", "references", "m", "unit", tip=True)
 
 
 def protocol_names(quantity: Quantity = VOLTAGE) -> list[str]:
-    """Names of the protocols, or references, that come with the package."""
+    """Names of the protocols, or references, of the package."""
     folder = share_directory() / "config" / quantity.folder
     return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
 def is_path(name_or_path: str) -> bool:
-    """Whether a text is the path of a file rather than the name of one of the package's."""
+    """True if a text is the path of a file, not the name of a protocol of the package."""
     path = Path(name_or_path)
     return path.suffix in (".yaml", ".yml") or path.parent != Path(".")
 
 
 def load_protocol(name_or_path: str | Path, parameters: Parameters,
                   quantity: Quantity = VOLTAGE) -> Protocol:
-    """Read a protocol, or a reference, by its name (`staircase`, in the share folder's config) or
-    by the path of its file, for a bench of these parameters. Raises InputError: no such file, not
-    YAML, or a step that is wrong or above the bench's limits; the line names file and step."""
+    """Read a protocol or a reference for a bench, by its name (`staircase`, in the share folder's
+    config) or the path of its file. Raises InputError, which names file and step: no such file, not
+    YAML, or a step that is wrong or above the bench's limits."""
     text, shipped = str(name_or_path), protocol_names(quantity)
     names, path, what = ", ".join(shipped), Path(text), quantity.what
     if not text:
@@ -246,8 +245,8 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters,
         if text not in shipped:
             hint = did_you_mean(text, shipped)
             if " " in text:
-                hint = "; steps in words are not taken, see docs/how_to/own_protocol.md"
-            raise InputError(f"{what} {shown(text)}: not one of {names} nor a .yaml file{hint}")
+                hint = "; steps cannot be given as text, see docs/how_to/own_protocol.md"
+            raise InputError(f"{what} {shown(text)}: neither one of {names} nor a .yaml file{hint}")
         path = share_directory() / "config" / quantity.folder / f"{text}.yaml"
     return parse_protocol(read_yaml(path), parameters, str(path), path.stem, quantity)
 
@@ -259,8 +258,8 @@ _LARGEST_FORCE = 1e4  # N
 
 def parse_protocol(document: Any, parameters: Parameters, where: str = "", name: str = "",
                    quantity: Quantity = VOLTAGE) -> Protocol:
-    """A Protocol from what a protocol's or reference's YAML file holds. `where` leads every error
-    line, `name` is the protocol's where the document has none; InputError as `load_protocol`."""
+    """A Protocol from the parsed YAML of a protocol or reference. `where` begins every error
+    message; `name` is used if the document has none. InputError as `load_protocol`."""
     with errors_in(where or quantity.what):
         given = document.get("unit") if isinstance(document, dict) else quantity.unit
         if quantity.key == "unit" and given != quantity.unit:
@@ -295,7 +294,7 @@ def parse_protocol(document: Any, parameters: Parameters, where: str = "", name:
     return protocol
 
 
-# Of each kind of step the levels and the seconds that it needs.
+# The levels and durations that each kind of step needs.
 _KINDS = {
     "staircase": (("start", "stop", "increment"), ("dwell",)),
     "ramp": (("start", "stop"), ("duration",)),
@@ -309,7 +308,7 @@ _STEP_KEYS = ("kind", "name", "drive", "repeat", "until", "force")
 
 def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
               quantity: Quantity) -> list[Segment]:
-    # Its kind, and the numbers that such a step has.
+    # Kind of the step, and its numbers.
     kind = step.get("kind")
     _text(step, "name")
     if not isinstance(kind, str) or kind not in _KINDS:
@@ -328,7 +327,7 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
         if n[key] / ohm > most:
             drives = f"{n[key] / ohm:.3g} A through {ohm:g} ohm, expected at most {most:g} A"
             raise InputError(f"{said}, which drives {drives}")
-    # Its lines: label, duration, first and last level of what is driven.
+    # Straight lines: label, duration, first and last level of the driven channels.
     rest = quantity.rest(parameters)
     if kind == "staircase":
         lines = _staircase(n, quantity.unit)
@@ -340,7 +339,7 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
     times = _repeat(step)
     if len(lines) * times > MAXIMUM_SEGMENTS:
         raise InputError(f"more than {MAXIMUM_SEGMENTS} segments")
-    # The channels that it drives.
+    # Driven channels.
     channels, drive = quantity.targets(parameters), step.get("drive", "all")
     sides = () if quantity.tip else tuple(parameters["bench.channel_sides"])
     if drive == "all":
@@ -349,7 +348,7 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
         if drive not in sides:
             bench = f"a bench of {', '.join(channels)} ({', '.join(dict.fromkeys(sides))})"
             said = f"drive is {drive}, but no channel is on that side"
-            raise InputError(f"{said}: the parameters are of {bench}")
+            raise InputError(f"{said}: the parameters describe {bench}")
         driven = [side == drive for side in sides]
     elif not isinstance(drive, list):
         raise InputError(f"drive is {drive!r}, expected front, back, all or a list of channels")
@@ -357,9 +356,9 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
         raise InputError(f"drive: channel {unknown[0]!r} is not one of {', '.join(channels)}")
     else:
         driven = [channel in drive for channel in channels]
-    # What ends it, and what the frame pulls meanwhile.
+    # Conditions that end it early, and the force of the load frame.
     if "until" in step and kind == "triangle":
-        raise InputError("until: a triangle ends with its time, write ramps")
+        raise InputError("until: not possible in a triangle, write two ramps")
     with errors_in("until"):
         until = _until(step["until"], parameters) if "until" in step else {}
     force, said = None, ""
@@ -378,7 +377,7 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
 
 
 def _staircase(n: Mapping[str, float], unit: str) -> list[tuple[str, float, float, float]]:
-    """From start to stop in equal increments, each level held for dwell."""
+    """Lines of a staircase: from start to stop in equal increments, each level held for dwell."""
     span, increment = n["stop"] - n["start"], n["increment"]
     if increment == 0.0:
         raise InputError(f"increment is 0 {unit}, expected more")
@@ -399,7 +398,7 @@ def _until(given: Any, parameters: Parameters) -> dict[str, float]:
     found = {key: _number(given, key, unit) for key, unit in _ENDS.items() if key in given}
     highest, hot = parameters["bench.maximum_temperature"], found.get("temperature_above", 0.0)
     if hot >= highest:
-        off = f"bench.maximum_temperature, {highest:g} K, where the bench switches off"
+        off = f"bench.maximum_temperature, {highest:g} K, at which the bench switches off"
         raise InputError(f"temperature_above is {hot:g} K, expected less than {off}")
     settled = given.get("settled", False)
     if not isinstance(settled, bool) and settled not in list(_SETTLED_WITHIN):
@@ -409,7 +408,7 @@ def _until(given: Any, parameters: Parameters) -> dict[str, float]:
     if settled:
         found["settled" if settled is True else f"{settled}_settled"] = over
     if not found:
-        raise InputError(f"says nothing, expected {', '.join(_ENDS)} or settled")
+        raise InputError(f"is empty, expected {', '.join(_ENDS)} or settled")
     return found
 
 

@@ -1,6 +1,6 @@
-"""Results: their files (docs/topics.md), their numbers as people read them, and the answer on one
-card. Their types stand in `identify/result.py` and `diagnose/result.py` and hold facts; every
-sentence is made last, by the template of the result's kind in `templates/`."""
+"""Results: their files (docs/topics.md), formatting of their numbers, and the card that shows the
+answer. The types, in `identify/result.py` and `diagnose/result.py`, hold facts only; all sentences
+are made last, by the templates in `templates/`."""
 
 import json
 import math
@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     import jinja2
 
 LARGEST = 1 << 24  # bytes of a result file
-_LARGEST_NUMBER = 1e100
+_LARGEST_NUMBER = 1e100  # in any unit; larger ones mean a damaged file
 T = TypeVar("T")
 NUMBER_HEADER = ("parameter", "value ± statistical ± systematic", "from the records", "reference",
-                 "off it", "by")
+                 "difference", "by")
 _SCALES = {
     "voltage_command": ("V", 1.0), "voltage": ("V", 1.0), "current": ("mA", 1e3),
     "temperature": ("K", 1.0), "force": ("N", 1.0),
     **dict.fromkeys(("deflection", "range", "elongation"), ("mm", 1e3))}
 TEMPLATES = Path(__file__).with_name("templates")
-_NO_BORDERS = str.maketrans("\n|", " /")
-_WIDTH, _NARROWEST = 96, 40  # cells
-_LONGEST = 400  # characters of a line that stands for a result
+_NO_BORDERS = str.maketrans("\n|", " /")  # a text from a file must not begin a row or a cell
+_WIDTH, _NARROWEST = 96, 40  # characters of a card's line
+_LONGEST = 400  # characters of a result's repr
 
 
 @dataclass(frozen=True)
 class Invocation:
-    """The command that has made a result, as far as advice on what to do next depends on it."""
+    """The parts of the command that made a result, for the advice on what to do next."""
 
     records: tuple[str, ...] = ()
     params: str = ""
@@ -50,9 +50,9 @@ class Invocation:
 
 
 def decoded(kind: type[T], document: Any, where: str) -> T:
-    """A plain dataclass from what its JSON held; null, for what is not finite, becomes NaN. Raises
-    InputError: one line that begins with `where` and names the field."""
-    import msgspec  # robots that read no results do without
+    """A dataclass from its parsed JSON; null, which stands for a number that is not finite, becomes
+    NaN. Raises InputError: a wrong field, which it names after `where`."""
+    import msgspec  # may be missing on a robot, which reads no results
 
     try:
         return msgspec.convert(_numbers(document), kind)
@@ -66,17 +66,17 @@ def _numbers(value: Any) -> Any:
     if isinstance(value, list):
         return [_numbers(item) for item in value]
     if isinstance(value, (int, float)) and abs(value) > _LARGEST_NUMBER:
-        raise ValueError(f"{value!r:.40} is beyond all measure")
+        raise ValueError(f"{value!r:.40} is too large, expected below 1e100")
     return math.nan if value is None else value
 
 
 def write_result(path: str | Path, document: dict[str, Any]) -> None:
-    """Write a result file, whole or not at all. Raises InputError: the folder cannot be written."""
+    """Write a result file as a whole or not at all. InputError: the folder cannot be written."""
     write_text_atomically(path, json_text(document))
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """A result as JSON; NaN becomes null so that any reader takes it."""
+    """A result as JSON; NaN becomes null, because standard JSON has no NaN."""
     return json.dumps(_finite(document), indent=2, allow_nan=False) + "\n"
 
 
@@ -89,18 +89,18 @@ def _finite(value: Any) -> Any:
 
 
 def scale_of(signal: str) -> tuple[str, float]:
-    """Of a quantity or a signal `channel.quantity`: unit on paper, and the factor from SI to it."""
+    """Display unit of a quantity or a signal `channel.quantity`, and the factor from SI to it."""
     return _SCALES.get(signal.rpartition(".")[2], ("", 1.0))
 
 
 def in_print(value: float, signal: str) -> str:
-    """An SI value of a signal with its unit on paper, to two or three digits."""
+    """An SI value of a signal with its display unit, to three digits."""
     unit, factor = scale_of(signal)
     return f"{factor * value:.3g} {unit}".rstrip()
 
 
 def percent(share: float) -> str:
-    """A share; what is nearly nothing or all is not rounded to it."""
+    """A share as text; values near 0 or 1 are not rounded to 0 % or 100 %."""
     if 0.0 < share < 0.005:
         return "below 1 %"
     if 0.995 < share < 1.0:
@@ -109,7 +109,7 @@ def percent(share: float) -> str:
 
 
 def signed(value: float, form: str) -> str:
-    """With its sign, unless it is rounded to nothing."""
+    """A number with its sign, without it if rounded to 0."""
     text = f"{value:+{form}}"
     return text if float(text) else text[1:]
 
@@ -120,7 +120,7 @@ def in_unit(number: str, unit: str) -> str:
 
 
 def with_error(value: float, std: float) -> str:
-    """`value ± std`, the value to the decimals that the error leaves it."""
+    """`value ± std`, the value rounded to two digits of the error."""
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
         return f"{value:.4g}"
     digits = math.floor(math.log10(max(abs(value), std))) - math.floor(math.log10(std)) + 2
@@ -128,7 +128,7 @@ def with_error(value: float, std: float) -> str:
 
 
 class Carded:
-    """A result, whose text is its card, in a notebook too."""
+    """A result that is shown as its card, in a terminal and in a notebook."""
 
     template: ClassVar[str]
 
@@ -143,30 +143,30 @@ class Carded:
 
 
 class Card(NamedTuple):
-    """The verdict in one line, and rows of a label ("" for that of the row above) and a text."""
+    """A title in one line, and rows of label and text; label "": the same as in the row above."""
 
     title: str
     rows: tuple[tuple[str, str], ...]
 
 
 def lines_of(template: str, macro: str, *facts: Any) -> list[str]:
-    """Lines that a macro of a template makes of facts."""
+    """The lines that a macro of a template renders from facts."""
     made = str(getattr(_templates(TEMPLATES).get_template(template).module, macro)(*facts))
     return [" ".join(line.split()) for line in made.splitlines() if line.strip()]
 
 
 def sentences(result: Any, macro: str, *more: Any) -> list[str]:
-    """Lines of a result, by the template that it names."""
+    """The lines that a macro of a result's own template renders."""
     return lines_of(result.template, macro, result, *more)
 
 
 def cells(result: Any, macro: str, *more: Any) -> list[tuple[str, ...]]:
-    """The same for lines of cells with a bar between them."""
+    """As `sentences`, with each line split at | into cells."""
     return [tuple(c.strip() for c in line.split("|")) for line in sentences(result, macro, *more)]
 
 
 def card(result: Any, asked: Invocation | None = None, numbers: bool = False) -> Card:
-    """The card of a result, for the command `asked`; `numbers`: a row for each, as no table has."""
+    """The card of a result. `asked`: for advice; `numbers`: with a row per estimated number."""
     lines = sentences(result, "card", asked)
     if numbers and getattr(result, "estimates", None):
         lines[1:1] = sentences(result, "number_lines")
@@ -176,17 +176,17 @@ def card(result: Any, asked: Invocation | None = None, numbers: bool = False) ->
 
 
 def card_rows(result: Any) -> list[list[str]]:
-    """The card as plain data, the title first under "": for whoever shows a result and no more."""
+    """The card as plain data, the title first with label "": for the JSON of a result."""
     shown = card(result)
     return [["", shown.title], *map(list, shown.rows)]
 
 
 @cache
 def _templates(folder: Path) -> "jinja2.Environment":
-    import jinja2  # a tenth of a second that only those who read a result wait for
+    import jinja2  # takes 0.1 s, so only when a result is shown
 
     class Translated(jinja2.FileSystemBytecodeCache):
-        """Templates are translated once, which takes as long as the import; disks may be full."""
+        """Caches compiled templates on disk (compiling takes another 0.1 s), if it is writable."""
 
         def dump_bytecode(self, bucket: "jinja2.bccache.Bucket") -> None:
             with suppress(OSError):
@@ -199,7 +199,6 @@ def _templates(folder: Path) -> "jinja2.Environment":
     environment = jinja2.Environment(  # noqa: S701 (no HTML: pages escape it)
         loader=jinja2.FileSystemLoader(folder), trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined, bytecode_cache=Translated(str(kept)), auto_reload=False,
-        # What comes from a file begins no row and no cell of its own.
         finalize=lambda shown: shown.translate(_NO_BORDERS) if isinstance(shown, str) else shown)
     environment.globals["effects"] = EFFECTS
     environment.filters |= {
@@ -208,13 +207,12 @@ def _templates(folder: Path) -> "jinja2.Environment":
         "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_error": lambda number: with_error(number.value, number.std),
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
-        # JSON has null for a number that does not exist.
         "or_empty": lambda value, form, unit="": f"{value:{form}}{unit}" * math.isfinite(value)}
     return environment
 
 
 def two_errors(number: Any) -> str:
-    """Value ± statistical ± systematic error of an `Estimate`, to its own digits, and the unit."""
+    """Value ± statistical ± systematic error of an `Estimate`, with its unit."""
     parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
     if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
         return in_unit(with_error(number.value, number.std), number.unit)
@@ -223,7 +221,7 @@ def two_errors(number: Any) -> str:
 
 
 def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
-    """The title and the rows, folded; no line is longer than can be read at ease."""
+    """Title and rows, folded to `width`, between 40 and 96 characters."""
     width = max(min(width, _WIDTH), _NARROWEST)
     lines = textwrap.wrap(printable(shown.title), width)
     for label, text in shown.rows:
@@ -233,7 +231,7 @@ def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
 
 
 def card_text(result: Any, width: int = _WIDTH, asked: Invocation | None = None) -> str:
-    """The card as lines of `width` cells; below an identification's title a line a number."""
+    """The card as text of `width` characters; an identification's has a table of numbers."""
     shown, rows = card(result, asked), number_rows(result)
     title = card_lines(Card(shown.title, ()), width)
     every = [NUMBER_HEADER, *rows] if rows else []
@@ -244,11 +242,11 @@ def card_text(result: Any, width: int = _WIDTH, asked: Invocation | None = None)
 
 
 def number_rows(result: Any) -> list[tuple[str, ...]]:
-    """A row a number, as `NUMBER_HEADER`; none of a diagnosis."""
+    """Rows of the table with NUMBER_HEADER, one per number; none for a diagnosis."""
     return cells(result, "numbers") if getattr(result, "estimates", None) else []
 
 
 def card_html(result: Any) -> str:
-    """The same as tables, every text escaped."""
+    """The card as HTML tables, all text escaped."""
     template = _templates(TEMPLATES).get_template("card.html.j2")
     return template.render(card=card(result), header=NUMBER_HEADER, numbers=number_rows(result))

@@ -120,7 +120,7 @@ def test_package_that_does_not_exist_is_told_in_short(house, tmp_path):
     assert (code, out) == (2, "") and "1 packages of requirements.txt: failed" in err
     assert "No matching distribution found for no-such-package-of-sma-bench==1.0" in err
     assert "Traceback" not in err and len(err.splitlines()) < 15
-    log = Path(err.rsplit("everything it said: ", 1)[1].strip())
+    log = Path(err.rsplit("full log: ", 1)[1].strip())
     assert "no-such-package-of-sma-bench" in log.read_text()
 
 

@@ -105,7 +105,7 @@ def test_of_a_nodes_dump_defaults_count_as_unstated_and_numbers_are_those_of_ros
 NINE = ", ".join(f"k{n}: *b{{0}}" for n in range(9))
 MAPS = [f"    b{k}: &b{k} {{{NINE.format(k - 1)}}}\n" for k in range(1, 12)]
 BOMB = ROOT + "    b0: &b0 {x: 1.0}\n" + "".join(MAPS)
-ILL = [(BOMB, "line 4"), (BOMB, "aliases (*name) are not taken"), (b"\xff\x80", "not a text file")]
+ILL = [(BOMB, "line 4"), (BOMB, "(*name) are not supported"), (b"\xff\x80", "not a text file")]
 
 
 def test_a_bad_file_gives_one_line_that_names_it_and_a_good_one_outlives_a_failed_writing(path):

@@ -65,7 +65,7 @@ def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis
     result = replace(judged(planted_diagnosis, "unexplained"), missed=missing)
     pictures = missing_pictures(result)
     lines = [line.get_label() for p in pictures for line in p.figure.axes[0].lines]
-    assert "an input to the thermal stage" in lines
+    assert "unknown input to the thermal stage" in lines
     text = write_diagnosis_report(tmp_path, result).read_text()
     assert "What no effect explains" in text and "misses the heat most" in text
     drawn = {path.stem for path in tmp_path.glob("diagnosis_missing_*.png")}

@@ -118,7 +118,7 @@ def test_the_wires_figures_show_what_the_paper_measured(pictures):
 def test_the_composites_figures_show_rests_and_what_is_left_at_their_ends(pictures):
     runs = [composite_run(record, specimens.composite_rig(PAPER))
             for record in specimens.papers_records("composite", PAPER)]
-    assert "specimen not" in pictures[16][0].caption
+    assert "specimen did not" in pictures[16][0].caption
     for ax, run in zip(pictures[15][0].figure.axes, runs, strict=True):
         voltage = ax.get_lines()[0].get_ydata()
         assert (voltage.max(), voltage.min()) == pytest.approx((6.0, -6.0), abs=0.05)

@@ -138,7 +138,7 @@ def test_files_are_replaced_together_or_not_at_all_and_keep_mode_and_link(tmp_pa
     found = {path.name: path.read_text() for path in folder.iterdir()}
     assert found == {"a": "old a", "b": "old b"}
     third.mkdir()
-    with pytest.raises(OSError, match="something else than a file"):
+    with pytest.raises(OSError, match="something other than a file"):
         border.write_files({first: b"new", third: b"new"})
     assert first.read_text() == "old a"
 
