@@ -1,1 +1,1 @@
-"""What judges sma_bench: never installed, run from a checkout by ./bench blind, check, perf."""
+"""Examination of sma_bench: never installed; run from a checkout by ./bench blind, check, perf."""

@@ -1,4 +1,4 @@
-"""Bags in the other storage of ROS 2: sqlite3, as recorders before Jazzy write it."""
+"""Bags in sqlite3 storage, as written by recorders before Jazzy."""
 
 import shutil
 from pathlib import Path
@@ -9,7 +9,7 @@ from sma_bench.records.bag_writer import TYPES
 
 
 def in_sqlite3(bag: Path) -> Path:
-    """Rewrite a bag's folder with its messages in sqlite3; its storage file."""
+    """Rewrite a bag with its messages in sqlite3 storage; the path of its storage file."""
     other = bag.with_name(f"{bag.name}.sqlite3")
     writer = Writer(other / bag.name, version=9, storage_plugin=StoragePlugin.SQLITE3)
     other.mkdir()

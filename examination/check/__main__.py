@@ -1,4 +1,4 @@
-"""`./bench check NAME [options]`: what the module NAME of this folder checks."""
+"""`./bench check NAME [options]`: run the check in module NAME of this folder."""
 
 import sys
 from importlib import import_module

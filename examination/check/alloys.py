@@ -1,13 +1,13 @@
-"""Do the stated intervals of E5 to E9 hold the truth, whatever the alloy and however noisy?
+"""Do the confidence intervals of E5 to E9 contain the true values, for any alloy and any noise?
 
-Alloys are drawn as NiTi wires of the field differ, near the paper's and far from it; the tests of
-each, by the instruments of examination/attack_lab, have what no test shows by itself (a
-thermometer's class, a specimen's lag, errors of a gauge and a micrometer) and a noise from tiny to
-10 K or 10 %. They are identified without a parameter file, but the diameter and A_s of E8.
+Alloys are drawn from the range of real NiTi wires, near the paper's and far from it. Their tests,
+by the instruments of examination/attack_lab, have hidden systematic errors (accuracy class of a
+thermometer, thermal lag of a specimen, errors of a gauge and a micrometer) and noise from very
+small to 10 K or 10 %. They are identified without a parameter file, except diameter and A_s for E8.
 
     ./bench check alloys --draws 200 --seed 1 [--joint 20] [--json FILE]
 
-Exits with 1 where the 90 % intervals hold less than 85 or more than 95 % of all numbers, or of
+Exits with 1 if the 90 % intervals contain less than 85 or more than 95 % of all true values, or of
 those far from the paper's.
 """
 
@@ -27,22 +27,22 @@ from sma_bench.records.instruments import IsobaricRecord
 
 Z90 = 1.6449
 BAND = (0.85, 0.95)
-FAR = 3.0  # of the table's deviations, from the paper's number
+FAR = 3.0  # standard deviations of the table, from the paper's number
 METHODS = ("E5", "E6", "E7", "E8", "E9")
 LOADS = (50e6, 100e6, 150e6, 200e6, 250e6, 300e6)
-THERMOMETER, LAG = 0.9, 0.7  # K: class 1 of IEC 60584, a specimen that follows by seconds
-CALORIMETER, PAN = 0.5, 5.0  # K, s
-SIZE = 0.01  # relative, of a gauge length and of a diameter
-CAMERA = 0.03  # relative: gain, emissivity and spot, as data sheet and setting leave them
+THERMOMETER, LAG = 0.9, 0.7  # K: class 1 of IEC 60584; a specimen that lags by seconds
+CALORIMETER, PAN = 0.5, 5.0  # K; s, lag of the pan
+SIZE = 0.01  # relative error of a gauge length and of a diameter
+CAMERA = 0.03  # relative error by gain, emissivity and spot, after data sheet and settings
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Print a row a method and number; 0 where the intervals hold, else 1."""
+    """Print a row per method and number; 0 if the coverage is as wanted, else 1."""
     own = {"draws": (200, "alloys"), "seed": (1, "of all"), "joint": (20, "E9 of every N-th draw")}
     options = options_of("alloys", __doc__, argv, **own, **IN_PIECES)
     jobs = [(options.seed, draw, options.joint) for draw in range(options.draws)]
     found = [row for rows in in_pieces(examine, jobs, options) for row in rows]
-    print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
+    print(f"{options.draws} alloys, seed {options.seed}: coverage of the 90 % intervals")
     parts = {method: [f for f in found if f["method"] == method] for method in METHODS}
     parts["far from the paper's"] = [f for f in found if f["far"] > FAR]
     for part, rows in parts.items():
@@ -54,8 +54,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
-    """What each method finds of one alloy, a row a number: deviations from the truth, and how far
-    it is from the paper's; E9, which takes longer, of every `joint`-th draw (0: of none)."""
+    """Results of each method for one alloy, a row per number: deviation from the truth, and
+    distance from the paper's. E9, which is slow, only for every `joint`-th draw (0: never)."""
     random = np.random.default_rng([seed, draw])
     alloy = draw_alloy(random)
     truth, paper = alloy.truth(), Parameters.of_paper()
@@ -80,7 +80,7 @@ def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
 
 
 def draw_alloy(random: np.random.Generator) -> Alloy:
-    """Near the paper's or far from it; 90 % of C between 5 and 10 MPa/K."""
+    """An alloy near the paper's or far from it; 90 % have C between 5 and 10 MPa/K."""
     centre, half = random.normal(345.0, 30.0), 8.0 * np.exp(0.35 * random.standard_normal())
     widths = 14.0 * np.exp(0.4 * random.standard_normal(2))
     soft = float(np.clip(30e9 * np.exp(0.25 * random.standard_normal()), 18e9, 50e9))
@@ -94,21 +94,21 @@ def draw_alloy(random: np.random.Generator) -> Alloy:
 
 
 def draw_noise(random: np.random.Generator, least: float, most: float) -> float:
-    """By its logarithm."""
+    """Log-uniform."""
     return float(np.exp(random.uniform(np.log(least), np.log(most))))
 
 
 def draw_tests(alloy: Alloy, random: np.random.Generator) -> dict[str, list[Any]]:
-    """Records by the method that reads them; who sees cycles or specimens differ repeats them."""
+    """Records by method; tests are repeated if cycles or specimens differ."""
     stresses = np.sort(random.choice(LOADS, int(random.integers(1, 5)), replace=False))
     records: dict[str, list[Any]] = {"E6": isobaric_tests(alloy, random, stresses)}
-    differ = draw_noise(random, 0.02, 5.0)  # K: of a scan from the others
+    differ = draw_noise(random, 0.02, 5.0)  # K, between scans
     faults = {"scatter": differ, "cycles": int(random.integers(2, 4) if differ < 0.3 else 6)}
     faults |= {"zero": CALORIMETER * random.standard_normal(), "rate": random.choice([5.0, 10.0])}
     faults["lag"] = 0.5 + abs(PAN * random.standard_normal())
     span = (alloy.m_f - 45.0, alloy.a_f + 45.0)
     records["E5"] = [instruments.dsc(alloy, random, span, **faults)]
-    differ = draw_noise(random, 2e-4, 0.10)  # relative, of a specimen from the others
+    differ = draw_noise(random, 2e-4, 0.10)  # relative, between specimens
     count = int(random.integers(1, 4) if differ < 0.003 else random.integers(3, 7))
     faults = {"noise": draw_noise(random, 1e5, 2e6), "toe": 0.0}
     faults |= {"gauge": 1.0 + SIZE * random.standard_normal(), "area": _section(random)}
@@ -127,7 +127,7 @@ def draw_tests(alloy: Alloy, random: np.random.Generator) -> dict[str, list[Any]
 
 def isobaric_tests(alloy: Alloy, random: np.random.Generator, stresses: Iterable[float],
                    **own: Any) -> list[IsobaricRecord]:
-    """One a stress (Pa); `own` scatter (K) and number of cycles, drawn if not."""
+    """One test per stress (Pa); scatter (K) and number of cycles are drawn unless in `own`."""
     faults = {"scatter": draw_noise(random, 0.02, 10.0), "noise": draw_noise(random, 0.02, 10.0)}
     few = max(faults["scatter"], faults["noise"] / 10.0) < 0.3
     faults["cycles"] = int(random.integers(1, 4) if few else random.integers(3, 9))
@@ -143,10 +143,10 @@ def isobaric_tests(alloy: Alloy, random: np.random.Generator, stresses: Iterable
 
 
 def _section(random: np.random.Generator) -> float:
-    """True over stated, of a diameter that a micrometer gave."""
+    """True over stated cross section, from a diameter measured by micrometer."""
     return float((1.0 + SIZE * random.standard_normal()) ** 2)
 
 
 def coverage(found: Iterable[dict[str, Any]]) -> float:
-    """Share of 90 % intervals that hold the truth."""
+    """Share of the 90 % intervals that contain the true value."""
     return float(np.mean([abs(f["z"]) < Z90 for f in found]))

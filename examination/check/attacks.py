@@ -1,8 +1,8 @@
-"""Does identification ever state a wrong number without a word?
+"""Does identification ever give a wrong number without a warning?
 
 Benches and instruments of examination/attack_lab, which share no code with the package's physics,
-are given a fault each; every identified number is then right within three standard errors, or a
-warning is on that number, or it is silently wrong. Clean ones must raise no warning.
+have one fault each. Every identified number must be right within three standard errors or carry a
+warning; otherwise it is silently wrong. Sound ones must cause no warning.
 
     ./bench check attacks [--only WORD] [--seeds 5] [--clean 50] [--processes 2] [--json FILE]
 """
@@ -24,7 +24,7 @@ CLEAN = (clean_bag, clean_tables)
 
 
 def judge(case: Case) -> dict[str, Any]:
-    """By how many standard errors each number is off and what was said; or the refusal."""
+    """Error of each number in standard errors, and its warnings; or the reason of a refusal."""
     try:
         found = identify(case.records, case.parameters, case.experiments)
     except InputError as error:
@@ -49,7 +49,7 @@ def run_attack(attack: Attack, seeds: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def run_numbered(what: str, number: int, seed: int) -> Any:
-    """An attack with so many seeds, or a clean set of a seed, each by its place."""
+    """Run attack number `number` with so many seeds, or a clean set with a seed."""
     if what == "attack":
         return run_attack(ATTACKS[number], range(seed))
     return judge(CLEAN[number](np.random.default_rng(9000 + seed), seed))

@@ -1,7 +1,7 @@
-"""Is a bag of other people's read right, refused, and never silently wrong?
+"""Are bags from other recorders read right, or refused, and never silently wrong?
 
-Bags of a bench are drawn at random (synthetic data), each read with `read_record`, and what comes
-of it is compared with what was written.
+Bags of a bench are drawn at random (synthetic data) and read with `read_record`, and the result is
+compared with what was written.
 
     ./bench check bags --bags 500 --seed 9 --json result.json
 """
@@ -28,21 +28,21 @@ from sma_bench.records import contract, describe, read_record
 from sma_bench.records.bag_writer import TYPES, message
 
 OUTCOMES = RIGHT, LOSS, REFUSED, WRONG, RAISED = "right", "loss said", "refused", "wrong", "raised"
-MEMORY, SECONDS = 1 << 30, 20.0  # that reading one of these small bags may take
+MEMORY, SECONDS = 1 << 30, 20.0  # bytes, s: limits for reading one of these small bags
 _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 HABITS: dict[str, list[str]] = _DATA["habits"]
 _EPOCH, _HOUR, _DAY = 1_750_000_000 * 10**9, 3600 * 10**9, 86_400 * 10**9
-_DELAY, _CHUNK, _PAGE = 2_000_000, 2000, 4096  # ns from a stamp to its receipt, at most; bytes
-_SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: numbers are read as they were written
+_DELAY, _CHUNK, _PAGE = 2_000_000, 2000, 4096  # ns, longest from stamp to receipt; bytes; bytes
+_SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: tolerances between written and read numbers
 _PROFILES = "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n"
-# Receipt, topic, type, bytes, and the numbers of stream and message.
+# Time of receipt, topic, type, bytes, number of the stream, number of the message.
 Row = tuple[int, str, str, bytes, tuple[int, int]]
 
 
 @dataclass
 class Stream:
-    """Messages of one topic: stamps, receipts and order in the file (n,) [ns]; their fields and the
-    signals in SI that they should be, (n,) by name; whether they say their stamps."""
+    """Messages of one topic: stamps, receipts and order in the file (n,) [ns]; their fields, and
+    the expected signals in SI, (n,) by name; whether the messages contain stamps."""
 
     topic: str
     type: str
@@ -56,8 +56,8 @@ class Stream:
 
 @dataclass
 class Bag:
-    """A bag as it lies on the disk: (stream, message) `whole` before any damage, s `apart` that
-    receipts may be off; it `tells` if nothing of it is lost or has two meanings."""
+    """A bag on disk: the messages `whole`, as (stream, message), before the damage; `apart`, s that
+    receipts may be off; `tells`: True if nothing is lost or ambiguous."""
 
     path: Path
     streams: list[Stream]
@@ -71,14 +71,14 @@ class Bag:
 
 
 def draw_habits(rng: np.random.Generator) -> dict[str, str]:
-    """One habit of each kind, of a recorder, a program or a mishap; most of them plain."""
+    """One habit of each kind (of a recorder, a program, a mishap); most are plain."""
     drawn = {kind: str(rng.choice(habits[1:])) if rng.random() > 0.7 else habits[0]
              for kind, habits in HABITS.items()}
     return pieces.without_exclusions(drawn, HABITS, _DATA["exclusions"])
 
 
 def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Stream]:
-    """A wire that is driven up and down, measured at several rates."""
+    """A wire heated and cooled, measured at several rates."""
     content, stamps = habits["content"], habits["stamps"]
     seconds, begin = rng.uniform(8.0, 20.0), _EPOCH + int(rng.integers(_DAY))
     if habits["clock"].startswith("from 0"):
@@ -114,7 +114,7 @@ def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
     for number, s in enumerate(bag.streams):
         s.is_stamped = s.type not in contract.HEADERLESS and clock != "never stamped"
         s.is_stamped &= number > 0 or not clock.startswith("one ")
-    # Without another clock that can be read, receipts are the times.
+    # If no stamps can be read, the times of receipt are the expected times.
     apart &= any(s.is_stamped and _encoding(s.topic, bag.habits) == "cdr" for s in bag.streams)
     bag.apart = 3e-9 * _DELAY if apart else 0.0
     for number, s in enumerate(bag.streams):
@@ -172,7 +172,7 @@ def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
 
 def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str],
               alter: Callable[[list[Stream]], None] = lambda _: None) -> Bag:
-    """Draw what is true, alter it, and write it as the habits have it."""
+    """Draw true signals, alter them, and write them according to the habits."""
     bag = Bag(folder / "bag", true_streams(rng, habits), habits)
     set_clocks(bag, rng)
     alter(bag.streams)
@@ -192,7 +192,7 @@ def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str],
         rows = [(at, name, kind.replace("/msg/", "/"), *rest) for at, name, kind, *rest in rows]
     if habits["compression"] == "of messages":
         rows = [(*head, zstandard.compress(blob), where) for *head, blob, where in rows]
-    # In files of equal length, of which the last is damaged.
+    # In files of equal length; the last one is damaged.
     count, names = {"three": 3, "one missing": 3, "twelve": 12}.get(habits["files"], 1), []
     write, suffix = (_write_mcap, "mcap") if habits["storage"] == "mcap" else (_write_db3, "db3")
     for number in range(count):
@@ -220,7 +220,7 @@ def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str],
 
 
 def _beside(of: Stream, habits: dict[str, str]) -> list[tuple[str, str, bytes]]:
-    """Topic, type and message of what else is in the bag."""
+    """Topic, type and message of other contents of the bag."""
     place, blob = of.topic.removesuffix("wire/power").removesuffix("experiment/marker"), b""
     if habits["beside"] in ("another bench", "twin"):
         blob = serialised(of, 0, {**habits, "content": "plain"}, int(of.stamp[0]))
@@ -241,7 +241,7 @@ def _encoding(topic: str, habits: dict[str, str]) -> str:
 
 
 def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int) -> list[int]:
-    """Write; the byte at which each message is complete."""
+    """Write; the positions in the file at which each message is complete."""
     inside, ends = habits["inside"], list[int]()
     codec = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
     with path.open("wb") as file:
@@ -267,7 +267,7 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
                                                         profiles)
             before = file.tell()
             writer.add_message(channels[key], received, blob, received)
-            if file.tell() > before:  # with all that waited for its chunk's end
+            if file.tell() > before:  # all messages of a chunk are complete with its end
                 ends += [file.tell()] * (k + 1 - len(ends))
         writer.finish()
         ends += [file.tell()] * (len(rows) - len(ends))
@@ -275,7 +275,7 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
 
 
 def _write_db3(path: Path, rows: list[Row], habits: dict[str, str], number: int) -> list[int]:
-    """Write; of a damaged file nothing has to be read."""
+    """Write. A damaged file need not be readable at all."""
     profiles = _PROFILES * (habits["qos"] == "profiles")
     kinds = {topic: kind for _, topic, kind, *_ in reversed(rows)}
     ids = {topic: number + k for k, topic in enumerate(dict.fromkeys(row[1] for row in rows), 1)}
@@ -290,7 +290,7 @@ def _write_db3(path: Path, rows: list[Row], habits: dict[str, str], number: int)
 
 
 def _damage(path: Path, how: str, rng: np.random.Generator) -> int:
-    """Damage a storage file; the byte in front of which it is as it was."""
+    """Damage a storage file; the position before which it is unchanged."""
     raw = path.read_bytes()
     at, size = int(rng.integers(len(raw) // 4, len(raw) - 1)), int(rng.integers(1, _PAGE))
     if how == "not closed" and path.suffix == ".mcap":  # no data end, summary and footer
@@ -309,7 +309,7 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
     how, modes = habits["metadata"], {"of files": "FILE", "of messages": "MESSAGE"}
     counts = Counter((topic, kind) for _, topic, kind, *_ in rows)
     counts = dict.fromkeys(counts, 0) if how == "of the start" else counts
-    if how == "of rosbag2 2":  # files with the folder in front
+    if how == "of rosbag2 2":  # file names that include the folder
         names = [f"{bag.name}/{name}" for name in names]
     listed = {"of the start": names[:1], "one file less": names[:-1]}.get(how, names)
     information = {
@@ -328,14 +328,14 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
 
 
 def outcome(bag: Bag) -> tuple[str, str]:
-    """One of OUTCOMES, and why."""
+    """Read the bag; one of OUTCOMES, and the reason."""
     try:
         with pieces.allowance(MEMORY, SECONDS):
             record = read_record(bag.path)
             describe(record)
     except InputError as error:
         return (RAISED if "\n" in str(error) else REFUSED), str(error)
-    except Exception:  # that is what is looked for
+    except Exception:  # any exception is a finding
         return RAISED, traceback.format_exc()
     faults, lost = [], 0
     read = {name: (signal.time, signal.values) for name, signal in record.signals.items()}
@@ -351,10 +351,10 @@ def outcome(bag: Bag) -> tuple[str, str]:
             fault = _fault(bag, number, true, time, values.reshape(-1))
             lost += (missing := len(true) - len(time))
             if missing and not of_files and s.topic not in said:
-                fault = f"{missing} of {len(true)} lost in silence"
+                fault = f"{missing} of {len(true)} silently lost"
             faults += [f"{name}: {fault}"] if fault else []
         if bag.habits["clock"] == "set back a little" and (np.diff(s.stamp) < 0).any():
-            faults += [] if said else [f"{s.topic}: a clock set back in silence"]
+            faults += [] if said else [f"{s.topic}: a clock set back, without a warning"]
     faults += [f"{name}: not in the bag" for name in read]
     if faults:
         return WRONG, "; ".join(faults)
@@ -362,23 +362,23 @@ def outcome(bag: Bag) -> tuple[str, str]:
 
 
 def _fault(bag: Bag, number: int, true: Array, time: Array, values: Array) -> str:
-    """What is wrong with (m,) values read at (m,) s of a stream's signal (n,); "": nothing."""
+    """What is wrong with the values (m,) read at times (m,) for a signal (n,); "" if nothing."""
     s = bag.streams[number]
     limit = _SAME_TIME + (0.0 if s.is_stamped else bag.apart)
     near = np.abs(time[:, None] - (s.stamp - s.order[0]) * 1e-9) <= limit
     with np.errstate(invalid="ignore"):
         same = (values[:, None] == true) | (np.abs(values[:, None] - true) < _SAME)
     if wrong := int(np.count_nonzero(~near.any(axis=1))):
-        return f"{wrong} of {len(time)} times are none of the bag's"
+        return f"{wrong} of {len(time)} times are not in the bag"
     if wrong := int(np.count_nonzero(~(near & same).any(axis=1))):
-        return f"{wrong} of {len(time)} values are none of the bag's"
-    # Of an mcap all that lies in front of the damage is read, unless its stamps forbid it.
+        return f"{wrong} of {len(time)} values are not in the bag"
+    # Everything before the damage of an mcap file must be read, unless its stamps prevent that.
     told = (_DATA["tells_not"] | {"end": (), "files": ()}).items()
     if bag.habits["storage"] == "mcap" and not any(bag.habits[kind] in odd for kind, odd in told):
         first = set(np.unique(s.stamp, return_index=True)[1].tolist())
         due = [k for i, k in bag.whole if i == number and k in first and not np.isnan(true[k])]
         if missed := int(np.count_nonzero(~near.any(axis=0)[due])):
-            return f"{missed} of {len(due)} in front of the damage not read"
+            return f"{missed} of {len(due)} before the damage not read"
     return ""
 
 
@@ -396,12 +396,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     pieces.print_outcomes(found, OUTCOMES, HABITS, ROW, "bags with", "bags")
     if telling := [one["outcome"] for one in found if one["tells"]]:
         read = sum(end in (RIGHT, LOSS) for end in telling)
-        print(f"of those that tell, read {read / len(telling):.1%}")
+        print(f"read of the complete and unambiguous bags: {read / len(telling):.1%}")
     return 1 if wrong else 0
 
 
 def try_bags(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Bags `first` to `stop` of a seed: odd habits, whether it tells, what came of it and why."""
+    """Bags `first` to `stop` of a seed: odd habits, whether it tells, outcome and reason."""
     found = []
     for number in range(first, stop):
         rng = np.random.default_rng([50, seed, number])

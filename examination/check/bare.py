@@ -1,8 +1,8 @@
-"""The tests where nothing optional is installed, and something like ROS's `launch` is.
+"""Run the tests without optional packages, and with a stand-in for ROS's `launch`.
 
-`colcon test` runs with what package.xml and requirements-robot.txt bring, and with `launch`, whose
-plugins for pytest make every logger keep its records to itself. This makes such an environment of
-links to what ./bench has installed. The rooms without numba are those of .ci/noble.
+`colcon test` runs with the packages of package.xml and requirements-robot.txt, and with `launch`,
+whose pytest plugin stops loggers from propagating their records. This makes such an environment of
+links to the packages that ./bench has installed. Tests without numba are run by .ci/noble.
 
     ./bench check bare [pytest options]
 """
@@ -18,10 +18,10 @@ from importlib import metadata
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-# Runs the tests side by side, and some again; what no test may rely on.
+# Plugins to run tests in parallel and again; and packages that no test may rely on.
 RUNNERS = ("pytest-xdist", "pytest-rerunfailures")
 SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "8", "--dist", "loadfile", "--no-loadscope-reorder")
-# What importing launch.logging does to Python's own; launch_testing is a plugin of pytest.
+# The effect of importing launch.logging on Python's logging; launch_testing is a pytest plugin.
 LAUNCH = """\
 import logging
 
@@ -42,7 +42,7 @@ PLUGIN = {"launch/__init__.py": "", "launch/logging.py": LAUNCH,
 
 
 def needed(names: Sequence[str]) -> dict[str, metadata.Distribution]:
-    """What these distributions need to be installed, themselves among it, by name."""
+    """These distributions and all that they require, by name."""
     found: dict[str, metadata.Distribution] = {}
     waiting = list(names)
     while waiting:
@@ -52,7 +52,7 @@ def needed(names: Sequence[str]) -> dict[str, metadata.Distribution]:
             continue
         try:
             found[key] = metadata.distribution(name)
-        except metadata.PackageNotFoundError:  # for another Python, or another system
+        except metadata.PackageNotFoundError:  # required on another Python or system only
             continue
         for line in found[key].requires or ():
             wanted = re.search(r"extra == ['\"]([\w-]+)['\"]", line)
@@ -62,7 +62,7 @@ def needed(names: Sequence[str]) -> dict[str, metadata.Distribution]:
 
 
 def linked(folder: Path) -> list[str]:
-    """An environment in `folder`; what is missing in it."""
+    """Make an environment in `folder`; the names of packages that are left out."""
     venv.create(folder, symlinks=True)
     here = Path(metadata.distribution("sma_bench").locate_file("")).resolve()
     there = next(folder.glob("lib/python*/site-packages"))
@@ -76,7 +76,7 @@ def linked(folder: Path) -> list[str]:
     for distribution in chosen.values():
         for top in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
             link(there / top, here / top)
-    # The libraries of ROS's wheels, and what they share.
+    # Libraries of ROS's wheels, and their shared files.
     for place in ("lib", "share"):
         (folder / place).mkdir(exist_ok=True)
         for path in (Path(sys.prefix) / place).iterdir():
@@ -84,7 +84,7 @@ def linked(folder: Path) -> list[str]:
     for name, text in PLUGIN.items():
         (there / name).parent.mkdir(exist_ok=True)
         (there / name).write_text(text)
-    # Of what ./bench installs beside the package; ROS's wheels hold distributions of their own.
+    # The other packages installed by ./bench; ROS's wheels contain further distributions.
     lists = [path.read_text() for path in ROOT.glob("requirements-*.txt")]
     pinned = {name for text in lists for name in re.findall(r"^([\w.-]+)==", text, re.MULTILINE)}
     installed = {re.sub(r"[-_.]+", "-", d.name).lower() for d in metadata.distributions()}
@@ -92,7 +92,7 @@ def linked(folder: Path) -> list[str]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """The status of pytest, side by side unless it is said how."""
+    """Exit status of pytest, run in parallel unless -n is given."""
     with tempfile.TemporaryDirectory() as folder:
         without = linked(Path(folder))
         print(f"without {', '.join(without)}; with launch's logging", flush=True)
@@ -100,7 +100,7 @@ def main(arguments: Sequence[str]) -> int:
         left_out = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
         kept = {name: value for name, value in os.environ.items() if name not in left_out}
         environment = {**kept, "VIRTUAL_ENV": folder, "PATH": path}
-        # As ./bench does after an installation, lest the first tests of nodes wait for it.
+        # Compile first, as ./bench does, or the first tests of nodes would wait for it.
         compiling = [python, "-m", "sma_bench.physics"]
         subprocess.run(compiling, cwd=ROOT, env=environment, check=True)
         words = [python, "-m", "pytest", *(() if "-n" in arguments else SIDE_BY_SIDE), *arguments]

@@ -1,17 +1,17 @@
-"""What the withheld-effect check could reach at most: is a miss the record's, the model's or the
-search's? Synthetic.
+"""Upper limits of the withheld-effect check: is a miss due to the records, the model or the search?
+Synthetic.
 
     ./bench check ceilings SET --out DIR [--cases N] [--time-limit S]
 
-SET has been answered (`./bench blind run SET`). Beside its measures stand those of the same
-records with the lab's parameters true to a tenth of what it states (exact), or after every test of
-the paper that would narrow one (tested), and of the same cases made by the model's own physics,
-each effect as large as the answer's fit of it (model).
+SET must have been answered (`./bench blind run SET`). Its measures are compared with those of the
+same records when the lab's parameters are true to a tenth of their stated errors (exact), or after
+every test of the paper that would narrow one (tested), and of the same cases simulated with the
+model's own physics, each effect as large as the answer's fit of it (model).
 
-What is missed there too is in no record, or is the search's: what is there is fitted once more from
-the true parameters. Such a fit that ends with 5 nats more than the search found is a failure of the
-search; one that gains less over the truth without its (second) effect than an effect must gain to
-be named shows that the effect is in no record.
+A case missed there, too, is due to the records or to the search. To decide, the true cause is
+fitted once more, starting from the true parameters. If this fit has 5 nats more than the search
+found, the search has failed; if it gains less over the truth without its (second) effect than an
+effect needs to be named, the records do not show the effect.
 """
 
 import json
@@ -44,12 +44,12 @@ from sma_bench.synthetic.bench_records import simulate_finely
 
 DIAGNOSIS = "diagnosis"
 COLUMNS = ("as it is", "exact parameters", "all tests done", "the model's physics")
-_SHARE = 0.1  # of the stated standard deviations
-_FAILURE = 5.0  # nats
+_SHARE = 0.1  # of the stated standard deviations: errors of "exact" parameters
+_FAILURE = 5.0  # nats: more than this above the search's result is a failure of the search
 _STREAM = 2_000_003
 _START_NS = 1_750_000_000 * 10**9
 Label = Mapping[str, Any]
-# Nats without which nothing is worth naming: of a single over recalibration, of a pair over its
+# Least gain in nats to name a cause: of a single effect over recalibration, of a pair over its
 # better effect alone.
 THRESHOLD, PAIR_THRESHOLD = 5.5, 10.7
 NEEDED = {"single": THRESHOLD, "pair": PAIR_THRESHOLD, "recalibration": -np.inf}
@@ -65,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     labels = open_labels(whole)
     names = whole.names[: options.cases]
     options.out.mkdir(parents=True)
-    # Nothing is left of wrong parameters once they are right, and no library has effects outside.
+    # With right parameters there is no recalibration; the model has no effect outside the library.
     variants = {"as_is": (None, ""), "exact": (make_exact, "recalibration"),
                 "tested": (make_tested, ""), "model": (make_by_model, "outside")}
     scores = []
@@ -84,8 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         scores += score(cases, handed_in(cases, [answers]), labels)
     rows = [(m.title, *values) for m, values in side_by_side(scores)]
     print(*as_markdown(("measure", *COLUMNS), rows), sep="\n")
-    print(f"\nIn no record: the truth gains less than {THRESHOLD} nats over recalibration, of a "
-          f"pair less than {PAIR_THRESHOLD} over its better effect alone.\n")
+    print(f"\nNot in the records: the truth gains less than {THRESHOLD} nats over recalibration, "
+          f"a pair less than {PAIR_THRESHOLD} over its better effect alone.\n")
     found, rows = defaultdict(list), []
     for name in names:
         label = labels[name]
@@ -97,14 +97,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         most = max(0.0, *(missed for missed, _ in each))
         hidden = sum(gain < NEEDED.get(what, NEEDED["single"]) for _, gain in each)
         rows.append((what, f"{len(each)}", f"{failures}", f"{most:.1f}", f"{hidden}"))
-    head = "there is", "cases", "failures of the search", "nats missed at most", "in no record"
+    head = "truth", "cases", "failures of the search", "nats missed at most", "not in the records"
     print(*as_markdown(head, rows), sep="\n")
     return 0
 
 
 def copied(root: Path, whole: files.CaseSet, labels: Mapping[str, Label],
            names: Sequence[str]) -> files.CaseSet:
-    """A set of some of the cases, to be answered by the diagnosis."""
+    """A copy of some of the cases, for the diagnosis to answer."""
     for name in names:
         shutil.copytree(whole.folder / name, root / files.CASES / name)
     sealed = files.seal(root / files.LABELS, [dict(labels[name]) for name in names])
@@ -137,7 +137,7 @@ def make_tested(case: Path, label: Label, whole: files.CaseSet) -> None:
 
 
 def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
-    # Numbers of the effects that are there, as the answer has fitted them.
+    # Numbers of the true effects, as fitted in the answer.
     answer = files.read_kept(whole.answers / DIAGNOSIS, label["id"]).answer
     fitted = {c.name: {name: number["value"] for name, number in c.parameters.items()}
               for c in (answer.candidates if answer else ())}
@@ -159,15 +159,15 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
 
 
 def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
-    """A fit of what is there that begins at the truth: nats by which it ends above what the search
-    found, and those that it gains over the truth without its (second) effect."""
+    """Fit the true cause, starting from the truth: its gain in nats over the result of the search,
+    and over the truth without its (second) effect."""
     believed = read_parameters(case / blind.NOMINAL)
     records = [read_record(case / name) for name in (blind.RECORD, blind.HOLD_OUT)]
     found = search(observation.observe_all(records, believed, observation.QUANTITIES), believed)
     effects = [name for name in label["effects"] if name in found.singles]
     if len(effects) < len(label["effects"]):
-        return 0.0, 0.0  # nothing that is measured shows one
-    # Evidence without the (second) effect, and the fit with all.
+        return 0.0, 0.0  # no measured quantity shows the effect
+    # Evidence without the (second) effect, and with all effects.
     without, best = -np.inf, found.recalibrated
     if len(effects) == 1:
         without, best = found.recalibrated.evidence, found.singles[effects[0]]
@@ -180,7 +180,7 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
             start = find_start(alone, remainder(alone), unknowns)
             both = fit(found.problem, unknowns, start.x)
         best = both
-    # The bench's true parameters, a product's as a whole.
+    # The true parameters of the bench; products of parameters are one number.
     unknowns = best.unknowns
     values = unknowns.values(best.x).tolist()
     for k, item in enumerate(unknowns.items[: unknowns.bench]):

@@ -1,11 +1,11 @@
-"""How often do the intervals of an effect's numbers hold the truth?
+"""How often do the confidence intervals of an effect's numbers contain the true value?
 
     ./bench check effects [--seed 1000] [--cases 60]
 
-The single effects of a development set of the withheld-effect check, each fitted to its two records
-as a diagnosis fits it. The truth is the reality's own number where it has the same meaning; else
-the one that fits best where there is no noise and nothing of the bench unknown beyond what is said.
-Counted are effects that gain more than a verdict asks for. Some ten seconds a case; synthetic.
+The single effects of a development set of the withheld-effect check are fitted to their two records
+as in a diagnosis. The true value is the reality's own number if that has the same meaning;
+otherwise the best fit without noise and with a known bench. Only effects that gain more than a
+verdict requires are counted. Some ten seconds per case; synthetic.
 """
 
 import sys
@@ -33,19 +33,19 @@ from sma_bench.records.record import Record
 
 INTERVAL = 1.645  # standard errors: 90 %
 WANTED = (0.80, 0.95)
-_QUIET = 1e-3  # of the sensors' noise
-_WORTH_NAMING = 5.5  # nats over recalibration
-_STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
+_QUIET = 1e-3  # of the sensors' noise: as good as none
+_WORTH_NAMING = 5.5  # nats over recalibration, as required for a verdict
+_STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread at which a diagnosis starts
 SAME: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 _SLOPE = "effect.stress_dependent_transition."
 
-# A number of an effect as stated, the error of the noise alone, true; gain of its effect [nats].
+# A number of an effect: estimate, its error by noise alone, true value; gain of the effect [nats].
 Claim = namedtuple("Claim", "case number value std noise_std true same_meaning gain")
 
 
 def claims_of(case: Case) -> list[Claim]:
     (effect,) = case.card.effects
-    stage = replace(case)  # what is played for it goes with it
+    stage = replace(case)  # the copy's cached simulations are discarded with it
     features = size(stage).features
 
     def recorded(stage: Stage, name: str, sensors: Sensors) -> Record:
@@ -54,7 +54,7 @@ def claims_of(case: Case) -> list[Claim]:
         signals = measure(outcome, World(case.truth, features), sensors, random, quantities)
         return Record(Path(name), 0, {signal.name: signal for signal in signals})
 
-    # The candidate of this effect, and its gain over recalibration.
+    # Fit with this effect, and its gain over recalibration.
     records = [recorded(stage, name, case.sensors) for name in RECORDS]
     shortest = shared_bin(records, case.nominal)
     seen = [observe(record, case.nominal, shortest) for record in records]
@@ -66,7 +66,7 @@ def claims_of(case: Case) -> list[Claim]:
     first = fit(recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives)
     found = fit(first.problem.with_nuisances(first.parameters), unknowns, first.x, rounds=2)
     gain = found.evidence - recalibrated.evidence
-    # Numbers of the effect that fit best where there is no noise.
+    # Numbers of the effect that fit best without noise.
     drives = {**case.drives, UNSEEN: unseen_drive(case.drives)}
     noise = {q: replace(n, std=_QUIET * n.std) for q, n in case.sensors.noise.items()}
     quiet = replace(case.sensors, noise=noise)
@@ -114,6 +114,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     for title, error in (("noise alone", "noise_std"), ("as stated", "std")):
         held = [abs(c.value - c.true) < INTERVAL * getattr(c, error) for c in counted]
         share = proportion(held)
-        print(f"{title}: {share.hits} of {share.n} intervals of 90 % hold the truth,"
+        print(f"{title}: {share.hits} of {share.n} 90 % intervals contain the truth,"
               f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)")
     return 0 if WANTED[0] <= share.value <= WANTED[1] else 1

@@ -1,10 +1,9 @@
-"""What happens to the heaters when something fails: every fault on the emulated bench, as a table.
+"""Are the heaters switched off when something fails? Every fault on the emulated bench, as a table.
 
-The real firmware on an emulated Uno, the real serial_bridge node, a wire at the pins; where the
-fault is theirs, ir_camera, its synthetic camera and the recorder too. Each line is a fault: how
-long the outputs were still on, measured at the pins on the Uno's clock, and the cause that the
-bench reported. Five minutes in real time; on a busy computer the bridge's own reactions are late,
-the device's are not.
+The real firmware on an emulated Uno, the real serial_bridge node, and a wire at the pins; for
+faults that concern them also ir_camera, its synthetic camera and the recorder. For each fault: how
+long the outputs stayed on, measured at the pins by the Uno's clock, and the cause that the bench
+reported. Five minutes in real time; on a busy computer the bridge reacts late, the device does not.
 
     ./bench check faults [-k NAME]
 """
@@ -20,12 +19,12 @@ ROW = "{:48.48} {:>10} {:>9}  {:5} {}"
 
 
 class FaultTable:
-    """Prints a line for every fault that was tried."""
+    """Prints a line for every fault."""
 
     tried = failed = 0
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Of each test three reports come: of its setup, its call, its end."""
+        """Called three times for each test: for its setup, call and teardown."""
         if report.failed or (report.skipped and report.when == "setup"):
             self.failed += 1
             print(ROW.format(report.nodeid.split("[")[-1].rstrip("]"), "", "", "FAIL", ""))
@@ -41,7 +40,7 @@ class FaultTable:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """0 when the outputs went to 0 V in time at every fault."""
+    """0 if the outputs went to 0 V in time at every fault."""
     print(ROW.format("fault", "off within", "measured", "", "reported"))
     table = FaultTable()
     options = ["-q", "-s", "--acceptance", "-p", "no:terminalreporter", "--rootdir", str(ROOT)]

@@ -1,9 +1,9 @@
-"""Do two forms of one effect differ, the one refitted to the other?
+"""Do two forms of one effect differ, if one is fitted to the other?
 
-Both act on one rig of the population under the drives of its two records; the true form has a gap
-of 30 times the noise (or the largest that its bounds allow), the other is refitted in its size and
-in the numbers that shape it. What is left, over the noise and scaled to a gap of 30, counts as two
-forms above 3: the median over the rigs.
+Both act on one rig of the population with the drives of its two records. The true form causes a gap
+of 30 times the noise (or the largest that its bounds allow); the size and shape parameters of the
+other are fitted to it. If the residual over the noise, scaled to a gap of 30, is above 3 (median
+over the rigs), the two forms count as different.
 
     ./bench check forms --json forms.json
 """
@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def try_forms(name: str, true: str, other: str, rig: int) -> float:
-    """What the other form leaves of the true one, over the noise, at a gap of GAP."""
+    """Residual of the other form fitted to the true one, over the noise, at a gap of GAP."""
     case = draw_cases(SEED, rig + 1)[rig]
     rng = np.random.default_rng([SEED, rig])
     forms = (EFFECTS[name].in_form(form) for form in (true, other))
@@ -49,7 +49,7 @@ def try_forms(name: str, true: str, other: str, rig: int) -> float:
     amount = cases.amount_for(one, GAP, gap, one.natural(rng))
     wanted = _stacked(case, one.features({}, amount))
     scale = GAP / max(gap(amount), 1e-9)
-    # Size and, within their ranges, the numbers that shape the other form.
+    # Fit the size and, within their ranges, the shape parameters of the other form.
     shapes = {n: s for n, s in two.symptom.settings.items() if s.high > s.low}
     low, high = np.log(two.symptom.natural[1] * 1e-3), np.log(two.symptom.natural[1] * 2.0)
 
@@ -86,7 +86,7 @@ def report(jobs: Sequence[tuple], found: Sequence[float]) -> int:
     left: dict[tuple[str, str], dict[str, list[float]]] = {}
     for (name, true, other, _), value in zip(jobs, found, strict=True):
         left.setdefault((name, true), {}).setdefault(other, []).append(value)
-    print(f"what is left of one form, refitted as another, over the noise at a gap of {GAP:g}")
+    print(f"residual of one form fitted by another, over the noise, at a gap of {GAP:g}")
     rows, alike, pairs = [], 0, 0
     for key, others in left.items():
         medians = {other: float(np.median(values)) for other, values in others.items()}

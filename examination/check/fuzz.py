@@ -1,8 +1,8 @@
 """Hostile bytes against the firmware's logic: two million inputs, under sanitizers.
 
 The firmware's own C files, compiled for this computer with the address and undefined behaviour
-sanitizers (test/firmware/host/fuzz.c, which says its rules: nothing is driven without arming, no
-duty exceeds its limit, the stop byte and silence end it). A few minutes; 1 where a part fails.
+sanitizers (test/firmware/host/fuzz.c, with these rules: nothing is driven without arming, no duty
+exceeds its limit, the stop byte and silence end it). A few minutes; exits with 1 if a part fails.
 
     ./bench check fuzz [--inputs 2000000] [--seed 1]
 """
@@ -23,7 +23,7 @@ from host_firmware import build_program
 from examination.pieces import options_of
 
 PART, AT_ONCE = 100_000, 2
-LONGEST = 600.0  # s of a part, which takes some ten: it hangs
+LONGEST = 600.0  # s: a part normally takes 10 s; after this it counts as hanging
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -39,14 +39,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         counts, said = zip(*workers.map(fuzzed, programs, sizes, seeds), strict=True)
     tried, drove_on, stopped = map(sum, zip(*counts, strict=True))
     problems = [text for text in said if text]
-    print(f"{tried:,} inputs, {drove_on:,} of them heard while driving and driven on as they may, "
+    print(f"{tried:,} inputs, {drove_on:,} of them while driving and allowed to go on, "
           f"{stopped:,} ended stopped; {len(problems)} of {len(sizes)} parts failed", *problems,
           sep="\n")
     return 1 if problems else 0
 
 
 def fuzzed(program: Path, inputs: int, seed: int) -> tuple[tuple[int, ...], str]:
-    """(inputs, drove on, stopped) of one part, and what went wrong, "" for nothing."""
+    """(inputs, drove on, stopped) of one part, and the error, "" for none."""
     words = [program, str(inputs), str(seed)]
     try:
         ended = subprocess.run(words, capture_output=True, text=True, timeout=LONGEST, check=False)
