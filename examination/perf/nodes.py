@@ -26,8 +26,7 @@ NAMESPACE = "/perf"
 PATIENCE, COMMAND_PERIOD = 120.0, 0.05  # s
 RATES = (100.0, 500.0, 1000.0)  # Hz
 # What any two nodes of rclpy take: one publishes what it has heard.
-BARE =
-"""
+BARE = """
 import rclpy, sys
 from sma_bench.lifeline import end_with_parent
 end_with_parent()
