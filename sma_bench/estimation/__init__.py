@@ -1,7 +1,7 @@
-"""The one engine of every estimate.
+"""The one estimation engine, used by all experiments and by the diagnosis.
 
     y_s = O_s[ F(V(z); theta) ] + N_s z + e_s
 
-theta under their priors (unknowns.py), the voltages V (voltage.py), a record's signals as means
-over bins O_s (observation.py), what else may be off z ~ N(0, 1) (nuisances.py), noise e_s
-(noise_model.py); one residual (residual.py), one solver (solver.py), one result (result.py)."""
+theta: parameters under their priors (unknowns.py); V: voltages (voltage.py); O_s: means of a
+record's signals over bins (observation.py); z ~ N(0, 1): nuisances (nuisances.py); e_s: noise
+(noise_model.py). One residual (residual.py), one solver (solver.py), one result (result.py)."""

@@ -1,4 +1,4 @@
-"""A number with its error, whatever told it: the one type of the whole package."""
+"""A number with its error: the one type of estimates in the whole package."""
 
 import math
 from collections.abc import Mapping
@@ -16,11 +16,11 @@ class Estimate:
     method: str = ""
     n: int = 0  # measured points behind it
     systematic: float = 0.0  # part of `std` that more of the same records would not lower
-    informed: float = 1.0  # share of its information from the records, NaN where not known
-    # Of the systematic part, in `unit`, by what is behind them, which other numbers may share.
+    informed: float = 1.0  # share of its information that came from the records, NaN: unknown
+    # Systematic errors in `unit` by their cause, which may act on other numbers, too.
     shares: Mapping[str, float] = field(default_factory=dict)
     stated: "Estimate | None" = None  # the same number in the parameter file
-    warnings: tuple[str, ...] = ()  # that concern it
+    warnings: tuple[str, ...] = ()  # about this number
 
     def with_shares(self, shares: Mapping[str, float]) -> "Estimate":
         """The same with these systematic errors, one standard deviation each, and no others."""
@@ -29,11 +29,11 @@ class Estimate:
         return replace(self, std=std, systematic=systematic, shares=dict(shares))
 
     def capped(self, std: float) -> "Estimate":
-        """The same, no less sure than `std`."""
+        """The same with a standard deviation of at most `std`."""
         if self.std <= std:
             return self
         statistical = min(self.statistical, std)
-        systematic = _beside(statistical, std)
+        systematic = _other_part(statistical, std)
         ratio = systematic / self.systematic if self.systematic else 0.0
         shares = {name: ratio * share for name, share in self.shares.items()}
         return replace(self, std=std, systematic=systematic, shares=shares)
@@ -43,7 +43,7 @@ class Estimate:
         """Standard deviation without the systematic part."""
         if not self.systematic:
             return self.std
-        return _beside(self.systematic, self.std)
+        return _other_part(self.systematic, self.std)
 
     @property
     def relative_std(self) -> float:
@@ -51,7 +51,7 @@ class Estimate:
 
     @property
     def deviations(self) -> float:
-        """From what is stated, in standard deviations of both; 0 where nothing is."""
+        """Distance from the stated value in standard deviations of both; 0 without one."""
         if self.stated is None:
             return 0.0
         both = max(math.hypot(self.std, self.stated.std), 1e-300)
@@ -68,6 +68,6 @@ class Estimate:
                 **({"stated": {"value": stated.value, "std": stated.std}} if stated else {})}
 
 
-def _beside(part: float, whole: float) -> float:
-    """The other part of a standard deviation; what a hostile file holds overflows as a square."""
+def _other_part(part: float, whole: float) -> float:
+    """sqrt(whole^2 - part^2) without the squares, which overflow for absurd numbers of a file."""
     return math.sqrt(max(whole - part, 0.0)) * math.sqrt(whole + part)

@@ -1,7 +1,7 @@
-"""Which law a wire follows: the whole model fitted under each, all with one thermal part, and the
-laws weighed by a quarter of their evidence, as sharp features of a few runs choose a law more
-surely than it predicts other runs. Where nothing is stated of h, that is the free convection of
-still air; the likeliest law and the paper's cosine are fitted with a constant h too."""
+"""Which transformation law a wire follows: the whole model is fitted under each law, and the laws
+are weighted. Only a quarter of the log evidence counts, because sharp features of a few runs favour
+a law more strongly than its predictions of other runs justify. If nothing is stated about h, all
+laws have free convection; the likeliest and the paper's cosine are fitted with constant h, too."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,30 +37,30 @@ from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.progress import Report, part, silent
 from sma_bench.records.record import Signal
 
-# How probable a law is before any record: real wires have inner loops and soft ends, and under most
-# loads all martensite is oriented, where brinson is the cosine with numbers that fit anything.
+# Prior probability of each law. Real wires have inner loops and gradual starts and finishes; under
+# most loads all martensite is oriented, and brinson is then a cosine with too many free numbers.
 PRIOR = {"normal": 0.9, "logistic": 0.05, "cosine": 0.035, "exponential": 0.015}
 PRIOR |= dict.fromkeys(ORIENTING, 0.004)
-AIR = {"free": 0.8, "constant": 0.2}  # and what becomes of the heat, where nothing is stated
-_TEMPERED = 0.25
-_DIFFERENT = 0.7  # probability that the runs of a bench differ, before any
-_STARTS, _ALL_STARTS, _SEED = 2, 8, 17  # of a fit at least, of all together
-_PAIRS, _FEWEST = 24, 6  # of draws, of all laws and of one fit
-_BENCHES, _BAND_SEED = 40, 43  # that are drawn for a band
-FLOOR = 0.005  # of what a signal spans, that no model predicts
-_NEGLIGIBLE = 0.01  # share of a prediction
-_SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
-_DRAWN, _DRAWN_FIRST = 2, 12  # further starts, drawn from the prior; of which the best are tried
+AIR = {"free": 0.8, "constant": 0.2}  # prior of `wire.convection`, unless it or h is stated
+_TEMPERED = 0.25  # share of the log evidence that counts
+_DIFFERENT = 0.7  # prior probability that a bench is in another state in each run
+_STARTS, _ALL_STARTS, _SEED = 2, 8, 17  # of each fit, at least; of all fits together
+_PAIRS, _FEWEST_PAIRS = 24, 6  # antithetic draws of all laws together; of one fit, at least
+_BENCHES, _BAND_SEED = 40, 43  # drawn for a band
+FLOOR = 0.005  # of a signal's range: no model predicts it better
+_NEGLIGIBLE = 0.01  # weight in a prediction
+_SPREADS = (0.3, 3.0)  # prior deviations: smooth kinetics escape where sharp ones trap a fit
+_DRAWN, _DRAWN_FIRST = 2, 12  # further starts drawn from the prior: all used; the best of them used
 
-# By law and air: the fit, or two of several runs, and those that were tried.
+# By law and convection: the final fits, two if there are several runs, and those of all starts.
 Fits = dict[tuple[str, str], tuple[list[Fit], list[Fit]]]
 
 
 @dataclass(frozen=True, eq=False)
 class LawFit:
-    """The model under one law, and how probable this law is; `others`: its less probable fits, with
-    runs that differ or are alike, which count the same in a prediction, as what fitted runs differ
-    by says nothing of another, and with another h. `shares`: what `fit` and each of these count."""
+    """A law with its most probable `fit`, and `others` with equal or different states of runs or
+    another convection. `shares`: their weights in a prediction, the same for equal and different
+    states, as how fitted runs differ says nothing about a new one. `tried`: fits of all starts."""
 
     law: str
     probability: float
@@ -75,10 +75,10 @@ class LawFit:
 
     @cached_property
     def drawn(self) -> tuple[tuple[float, Fit, Array], ...]:
-        """As `weighed`, without what counts for nothing, with places (p, k) drawn in pairs."""
+        """`weighed` without negligible fits, each with antithetic draws (p, k) of its unknowns."""
         found, random = [], np.random.default_rng(_SEED)
         for share, one in (own for own in self.weighed if own[0] >= _NEGLIGIBLE):
-            pairs = max(round(_PAIRS * share), _FEWEST)
+            pairs = max(round(_PAIRS * share), _FEWEST_PAIRS)
             steps = random.standard_normal((pairs, len(one.x))) @ one.directions.T
             steps = one.within_reach(np.vstack([steps, -steps]))
             found.append((share, one, one.x + steps))
@@ -87,8 +87,8 @@ class LawFit:
 
 def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
                quantities: Sequence[str], report: Report = silent) -> tuple[LawFit, ...]:
-    """The laws that the wire may follow, the most probable first: the stated one, else all, but
-    `extended` only with a number of its own. InputError: none fits, or goes with what is stated."""
+    """Laws that a wire may follow, the most probable first: the stated one, else all (`extended` if
+    one of its own parameters is stated). InputError: none fits, or all contradict the stated."""
     stated = "wire.law" in parameters.given
     known = [n for n in PRIOR if n != "extended" or parameters.given & {*ORIENTING[n]}]
     laws = [parameters["wire.law"]] if stated else known
@@ -109,14 +109,14 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
             unknowns = unknowns_of_records(own, quantities, load_frame=framed, sides_apart=True,
                                            unmodelled=True)
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
-            if air != usual:  # from where the usual one ended, as far as it has these unknowns
+            if air != usual:  # also from the fit with the usual convection, for the unknowns it has
                 one, begin = fits[law, usual][0][0], unknowns.start().tolist()
                 ended = dict(zip(unknowns.names, begin, strict=True))
                 ended |= dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
                 tries.append(np.array([ended[name] for name in unknowns.names]))
             share = part(report, done / count, (done + 1) / count, law)
             fits[law, air] = fit_imperfect(problem, own, unknowns, tries, share)
-        except (FitError, InputError) as error:  # or not with what else is stated
+        except (FitError, InputError) as error:  # or the law contradicts stated parameters
             faults.append(InputError(str(error)))
 
     for law in laws:
@@ -144,7 +144,7 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
     weights /= weights.sum()
     laws = []
     for law in dict.fromkeys(law for law, _ in fits):
-        rows = []  # weight, share in a prediction, those that were tried, fit
+        rows = []  # probability, weight in a prediction, fits of all starts, fit
         for key in (key for key in fits if key[0] == law):
             own = [(float(w), one) for w, (k, one) in zip(weights, every, strict=True) if k == key]
             share = sum(w for w, _ in own) / len(own)
@@ -156,9 +156,9 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
 
 
 def starts(unknowns: Unknowns, drawn: int = _DRAWN) -> list[Array]:
-    """What is believed, with sharp and with smooth kinetics, and some believable benches."""
+    """Starts (k,): prior means with sharp and with smooth kinetics, and draws from the prior."""
     tries, random = [unknowns.start(spread) for spread in _SPREADS], np.random.default_rng(_SEED)
-    if np.array_equal(tries[0], tries[1]):  # a law without a spread
+    if np.array_equal(tries[0], tries[1]):  # a law without a transition spread
         tries.pop()
     for _ in range(drawn):
         x = unknowns.start(abs(float(random.standard_normal())))
@@ -168,7 +168,7 @@ def starts(unknowns: Unknowns, drawn: int = _DRAWN) -> list[Array]:
 
 
 def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Array]:
-    """The same, those first that move as the records do: no small step sets a still wire off."""
+    """`starts`, best predictions of motions first: no small step sets a still wire in motion."""
     tries = starts(unknowns, drawn)
     benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in tries]
     readings = problem.coarse.predict_many(benches)
@@ -179,7 +179,7 @@ def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Arr
 
 
 def repeatability(fitted: Fit) -> float:
-    """By how much runs of the same input differ, root mean square in strokes; nan of one run."""
+    """Root-mean-square difference of runs with the same input, in strokes; NaN for one run."""
     problem, squares = fitted.problem, []
     which, k = np.flatnonzero(problem.of_kind(STATE) | problem.of_kind(OFFSET)), len(fitted.x)
     rows, doubt = problem.nuisance_rows[:, which], fitted.joint[k:, k:][np.ix_(which, which)]
@@ -192,14 +192,14 @@ def repeatability(fitted: Fit) -> float:
     return float(np.sqrt(2.0 * np.mean(squares))) if several else float("nan")
 
 
-# --- Between which limits a bench will read: by an identification, or as far as a file says.
-# Benches are drawn within what is open of their numbers, each in a run of its own (`STATES`);
-# limits are those of a normal distribution, with a floor of 0.5 % of what the signal spans.
+# --- Prediction bands, after an identification or from the uncertainties of a parameter file.
+# Benches are drawn within their uncertainties, each in a random state of its run (`STATES`);
+# limits are those of a normal distribution, with a floor of 0.5 % of the signal's range.
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """Mean and limits (n,) of a share of a signal's readings at `time` (n,) s, in its unit."""
+    """Mean of a signal and limits of a share of its readings, (n,) in its unit at `time` (n,) s."""
 
     time: Array
     mean: Array
@@ -208,13 +208,13 @@ class Band:
 
     @classmethod
     def about(cls, time: Array, mean: Array, variance: Array, reach: float) -> "Band":
-        """Limits that are `reach` standard deviations off."""
+        """Limits at `reach` standard deviations."""
         off = reach * np.sqrt(variance + (FLOOR * float(np.ptp(mean))) ** 2)
         return cls(time, mean, mean - off, mean + off)
 
 
 def reach_of(probability: float) -> float:
-    """Standard deviations within which that share of readings lies. Raises InputError: no share."""
+    """Standard deviations within which that share of readings lies. InputError: not in (0, 1)."""
     if not 0.0 < probability < 1.0:
         raise InputError(f"a band of {probability:g}, expected a share between 0 and 1")
     return float(ndtri(0.5 + probability / 2.0))
@@ -222,9 +222,9 @@ def reach_of(probability: float) -> float:
 
 def predict(laws: Sequence[LawFit], observation: Observation,
             probability: float = 0.9) -> dict[str, Band]:
-    """What a run with this drive will show, by signal, after an identification of other runs: the
-    mean over the laws, half way from what is most probable to the mean of all that is open; the
-    limits as laws and numbers leave them. Raises InputError: `probability` is no share."""
+    """Bands by signal for a run with this drive, after an identification of other runs. The mean
+    lies half way between the most probable prediction and the mean over the draws; the limits span
+    laws, parameters and states of the run. Raises InputError: `probability` is not in (0, 1)."""
     reach, random = reach_of(probability), np.random.default_rng(_BAND_SEED)
     means, weights, variances = [], [], []
     for weight, fitted, places in (own for one in laws for own in one.drawn):
@@ -250,10 +250,10 @@ def predict(laws: Sequence[LawFit], observation: Observation,
 
 def band_of(parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
             probability: float, report: Report = silent) -> dict[str, Band]:
-    """What a run will show, by signal but the voltages, as far as a parameter file says: numbers of
-    wire, room, load and effects with a stated `uncertainty.` are drawn (`benches_within`), all
-    others are as they are. `simulated`: signals of the run that is asked for, on a bench. Raises
-    InputError: `probability` is no share, or no number has a stated uncertainty."""
+    """Bands by signal, without the voltages, from a parameter file: numbers of wire, room, load and
+    effects with a stated `uncertainty.` are drawn (`benches_within`), all others are fixed.
+    `simulated`: the signals of the run for given parameters. Raises InputError: `probability` is
+    not in (0, 1), or no number has a stated uncertainty."""
     reach, benches = reach_of(probability), benches_within(parameters, _BENCHES)
     exact, drawn = simulated(parameters), []
     for number, bench in enumerate(benches):
@@ -268,12 +268,12 @@ def band_of(parameters: Parameters, simulated: Callable[[Parameters], Sequence[S
 
 
 def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
-    """Benches as these parameters leave them open, each in a run of its own. Raises InputError: no
-    number of wire, room, load or effects has a stated uncertainty."""
+    """Benches drawn within the stated uncertainties, each in a random state of its run. Raises
+    InputError: no number of wire, room, load or effects has a stated uncertainty."""
     stated = [n for n, std in parameters.given_uncertainty.items()
               if std > 0.0 and not n.startswith("sensor.")]
     if not stated:
-        raise InputError("a band needs numbers with an uncertainty., the parameters have none")
+        raise InputError("a band needs numbers with an uncertainty.NAME, the parameters have none")
     names = [n for n in stated if not n.startswith(EFFECT_PREFIX)]
     if set(names) & set(TEMPERATURES):
         names = [*(n for n in names if n not in TEMPERATURES), *TEMPERATURES]
@@ -285,6 +285,6 @@ def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
 
 
 def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:
-    """A bench at x (k,), within its bounds, its `STATES` so many times the usual off."""
+    """The bench at x (k,), clipped to its bounds, its `STATES` `off` times the usual away."""
     there = unknowns.parameters(np.clip(x, *unknowns.bounds()))
     return in_state(there, dict(zip(STATES, off.tolist(), strict=True)))

@@ -1,5 +1,5 @@
 """Noise of a signal: white noise of the samples plus a slow drift, and how to whiten it; and what
-samples show of it by themselves: scatter, a converter's steps, how sure a mean is.
+samples alone show: their scatter, the step of a converter, the error of a mean.
 
     r_k = u_k + w_k,   u_k = phi u_(k-1) + v_k,   phi = exp(-dt/tau)
 
@@ -18,12 +18,14 @@ from scipy.linalg import solveh_banded
 from sma_bench.arrays import Array
 from sma_bench.compiled import compiled
 
-_TIMES = np.geomspace(0.3, 200.0, 8)  # s
-_SLOW = 3.0  # s: drift of a longer time than that must be of the usual size
-_WANDERING = 25.0  # s: no faster is a zero that wanders
-_UNUSUAL = 0.35  # standard deviation of the log of an unusual drift
-_RATIOS = np.geomspace(0.1, 100.0, 13)  # drift over white
-_FEW_LEVELS, _OFTEN, _EXACT, _HARMONICS = 0.2, 0.01, 0.01, 50
+_TIMES = np.geomspace(0.3, 200.0, 8)  # s, of drift, that are tried
+_SLOW = 3.0  # s: the prior on the size of a drift holds for slower ones
+_WANDERING = 25.0  # s: a wandering zero is slower
+_UNUSUAL = 0.35  # standard deviation of log(drift/usual)
+_RATIOS = np.geomspace(0.1, 100.0, 13)  # drift over white, that are tried
+_FEW_LEVELS = 0.2  # of the samples: with more distinct values a signal counts as continuous
+_OFTEN, _EXACT = 0.01, 0.01  # of the moves, by one step; of the smallest gap, is rounding
+_HARMONICS = 50  # of a converter's error
 
 
 @dataclass(frozen=True)
@@ -41,14 +43,14 @@ class Noise:
 
     @property
     def log_prior(self) -> float:
-        """Log of how probable such a drift is of a sensor; 0 up to the usual one."""
+        """Log prior of the drift; 0 up to the usual size."""
         return float(_log_prior(self.drift, self.time, self.usual, self.wanders))
 
     def drift_in(self, residual: Array) -> Array:
-        """Most probable u (b,) in a residual (b,): what is slow of it."""
+        """Most probable drift u (b,) in a residual (b,)."""
         if self.drift == 0.0:
             return np.zeros_like(residual)
-        if len(residual) < 2:  # no band beside the diagonal
+        if len(residual) < 2:  # no off-diagonal
             return residual * (self.drift**2 / (self.drift**2 + self.white**2))
         phi = np.exp(-self.period / self.time)
         driven = self.drift**2 * (1.0 - phi**2)
@@ -88,15 +90,15 @@ def _log_prior(drift: Array | float, time: Array | float, usual: float, wanders:
 
 
 def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
-    """Generous with drift."""
+    """Noise before any fit, with a generous drift."""
     return Noise(white, 3.0 * white, 5.0, period, usual)
 
 
 def estimate_noise(residuals: Sequence[Array], white: float, period: float, usual: float = np.inf,
                    wanders: bool = False) -> Noise:
-    """Most likely noise of residuals (b_i,), one a record, of the same sensor; the white part is at
-    least nearly `white`, that of a bin from sample to sample, which no fit can lower. What wanders
-    slowly by many times the `usual` may be the bench's doing."""
+    """Most likely noise of one sensor from its residuals (b_i,), one a record. The white level is
+    at least 0.9 `white`, a bin's noise from the scatter of its samples, which no fit can lower. A
+    slow drift of many times the `usual` is improbable: it may be the bench itself."""
     shapes, (drifts, times), whitening = _shapes(period)
     powers = np.zeros(len(shapes))
     for residual in residuals:
@@ -114,7 +116,7 @@ def estimate_noise(residuals: Sequence[Array], white: float, period: float, usua
 
 @cache
 def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]:
-    """Noises of white level 1 that are tried; drift and time of each; what `_add_powers` takes."""
+    """Noises of white level 1 to try; drift and time of each; arguments of `_add_powers`."""
     drifting = (Noise(1.0, float(r), float(tau), period) for r in _RATIOS for tau in _TIMES)
     shapes = (Noise(1.0, 0.0, float(_TIMES[0]), period), *drifting)
     phi, theta, innovation, total = np.array([(*s.arma, s.total) for s in shapes]).T
@@ -123,7 +125,7 @@ def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]
 
 
 def whiten(rows: Array, bins: Sequence[int], noises: Sequence[Noise]) -> Array:
-    """Rows (n,) or (n, k), each noise's number of bins, as independent ones of unit variance."""
+    """Rows (n,) or (n, k), made independent with unit variance; `bins`: rows of each noise."""
     white = np.array(rows, dtype=np.float64, order="C")
     numbers = np.array([(*noise.arma, noise.total) for noise in noises]).reshape(-1, 4)
     _whiten(white.reshape(len(white), -1), np.array(bins), numbers)
@@ -132,8 +134,8 @@ def whiten(rows: Array, bins: Sequence[int], noises: Sequence[Noise]) -> Array:
 
 @compiled
 def _whiten(columns: Array, bins: NDArray[np.int64], noises: Array) -> None:
-    """Write ARMA(1,1) innovations over the columns (n, k); of the noises (m, 4): phi, theta, what
-    the innovations and the first sample are divided by."""
+    """Write ARMA(1,1) innovations over the columns (n, k); noises (m, 4): phi, theta, standard
+    deviations of the innovations and of the first sample."""
     i = 0
     for number in range(bins.shape[0]):
         phi, theta, scale = noises[number, 0], noises[number, 1], 1.0 / noises[number, 3]
@@ -161,8 +163,8 @@ def _add_powers(residual: Array, phi: Array, theta: Array, scale: Array, first: 
 
 
 def white_noise_level(values: Array) -> float:
-    """Standard deviation of what changes from sample to sample of a signal (n,), quantisation
-    included: from second differences, so that a smooth course drops out."""
+    """Standard deviation of the noise between samples of a signal (n,), quantisation included:
+    from second differences, in which a smooth signal cancels."""
     second = np.diff(values, 2)
     # The median of a coarsely quantised signal jumps by a step; clipped squares do not.
     robust = 1.4826 * float(np.median(np.abs(second)))
@@ -171,22 +173,21 @@ def white_noise_level(values: Array) -> float:
 
 
 def noise_floor(values: Array) -> float:
-    """White noise of one sample among its neighbours (n,), its converter's included; never 0."""
+    """White noise of a sample of a signal (n,), at least that of its converter; never 0."""
     floor = max(white_noise_level(values), resolution(values) / np.sqrt(12.0))
     return float(floor) or 1e-6 * max(float(np.ptp(values)), 1e-12)
 
 
 def resolution(values: Array) -> float:
-    """Step of a quantised signal (n,) in its own unit; 0 when none is seen.
+    """Step of a quantised signal (n,) in its own unit; 0 when none is found.
 
-    The step is what all distinct values are whole multiples apart. The mere spacing of a few levels
-    counts if samples often move by just one of it, or if it is finer than the closest two levels.
-    """
+    All distinct values lie whole multiples of the step apart. If the step is just the distance of
+    the closest two levels, it counts only if samples often move by exactly one step."""
     levels = np.unique(np.round(values, 9))
     if len(levels) < 2 or len(levels) > _FEW_LEVELS * len(values):
         return 0.0
     gaps = np.diff(levels)
-    # Greatest common divisor of measured gaps (Euclid), 0 where there is none to speak of.
+    # Greatest common divisor of measured gaps (Euclid), 0 if it is as small as rounding.
     smallest, step = _EXACT * float(gaps.min()), float(gaps[0])
     for gap in np.unique(np.round(gaps, 9)):
         a, b = max(step, float(gap)), min(step, float(gap))
@@ -203,8 +204,8 @@ def resolution(values: Array) -> float:
 
 
 def coherence(inputs: Array, step: float, shape: Array | float = 1.0) -> Array:
-    """(50,) how much of each harmonic of a converter's error is left in the mean over `inputs` (n,)
-    times `shape`: 1 where an input stands still, 0 where it meets all parts of a step alike."""
+    """(50,) share of each harmonic of a converter's error that is left in the mean over `inputs`
+    (n,) times `shape`: 1 for a constant input, 0 for one spread evenly over whole steps."""
     k = np.arange(1, _HARMONICS + 1)
     turns = np.exp(2j * np.pi * np.outer(k, inputs / step))
     return np.asarray(np.abs(np.mean(shape * turns, axis=1)))
@@ -213,11 +214,11 @@ def coherence(inputs: Array, step: float, shape: Array | float = 1.0) -> Array:
 def quantisation_variance(scatter: float, step: float, left: Array | float = 1.0) -> float:
     """Variance of the mean's error that averaging cannot remove, in the signal's unit squared.
 
-    Noise of standard deviation s before a converter of step q smooths its staircase; what is left
-    of the mean's error has variance sum_k q^2/(2 pi^2 k^2) exp(-4 pi^2 k^2 s^2/q^2), which is
+    Noise of standard deviation s before a converter of step q smooths its staircase; the error that
+    the mean keeps has variance sum_k q^2/(2 pi^2 k^2) exp(-4 pi^2 k^2 s^2/q^2), which is
     q^2/12 without noise (Widrow and Kollar, Quantization Noise, 2008, ch. 9). `scatter`: standard
-    deviation of the samples as recorded, the quantisation in it; `step`: q, 0 of a continuous
-    signal; `left`: of `coherence`, where the input moves."""
+    deviation of the samples as recorded, with quantisation; `step`: q, 0 for a continuous
+    signal; `left`: from `coherence`, for a moving input."""
     if step <= 0.0:
         return 0.0
     before = max(scatter**2 - step**2 / 12.0, 0.0)

@@ -1,7 +1,7 @@
-"""What may be off in a record beside the model's numbers: columns of unit prior, linear.
+"""Nuisances of a record, fitted along with the parameters: linear columns of unit prior.
 
-Zeros of sensors, delays of their clocks, moments of jumps between two samples, levels between two
-steps of a converter, straight stretches of a noisy voltage, loads that were held, a run's state."""
+Zeros of sensors, delays of their clocks, moments of voltage jumps between two samples, levels
+between steps of a converter, straight stretches of a noisy voltage, held loads, a run's state."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -17,20 +17,20 @@ from sma_bench.parameters.parameter import BY_NAME
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
 TICK, STATE = "tick", "state"
-BENT = (JUMP, TICK, DELAY, STATE)
-_LAST = 0.49  # of the time between two samples
-_SLOW = 0.3  # s between samples of a logger whose loop may switch always at the same part of it
-# What may be off this far apart is so in one simulation, if the one is forgotten by the next.
-_FORGOTTEN = 60.0  # s
-_TRACE, _LAST_PART = 1e-3, 0.25  # of the largest change; of these seconds, before the next
-_FEWER = 0.7  # simulations of one each, at most, that are worth it
+NONLINEAR = (JUMP, TICK, DELAY, STATE)  # linearised anew about where a fit finds them
+_FARTHEST = 0.49  # of the time between two samples, a jump from their middle
+_SLOW = 0.3  # s between samples of a logger whose loop may always switch at the same part of it
+# Moves of the voltage this far apart share a simulation, if one has decayed before the next begins:
+_DECAYED = 60.0  # s
+_TRACE, _LAST_PART = 1e-3, 0.25  # of its largest change, in the last part of _DECAYED
+_FEWER = 0.7  # groups per move: with more, sharing is not worth it
 _NEVER = 1e300  # s
 UNITS = {"current": "A", "temperature": "K", "deflection": "m", "elongation": "m", "force": "N"}
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One of them: `std` of its prior in `unit`, of the signal or quantity `subject`."""
+    """A nuisance of a signal, quantity or parameter `subject`; `std` of its prior in `unit`."""
 
     kind: str
     subject: str = ""
@@ -40,14 +40,14 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
-    """Those of one record: (n, q) `columns` on its rows, linear about the values `about` (q,)."""
+    """Those of one record: `columns` (n, q) on its rows, linearised about z = `about` (q,)."""
 
     items: tuple[Nuisance, ...]
     columns: Array
     about: Array | float = 0.0
 
 
-Column = tuple[Nuisance, Array]  # with what it does to a record's rows (n,)
+Column = tuple[Nuisance, Array]  # with its effect on a record's rows (n,)
 
 
 def _zeros(signals: Sequence[BinnedSignal]) -> list[Column]:
@@ -62,19 +62,19 @@ def _gathered(found: Sequence[Column], rows: int) -> Nuisances:
     return Nuisances(tuple(item for item, _ in found), np.column_stack(columns))
 
 
-def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
+def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = NONLINEAR,
              states: float = 0.0) -> tuple[Observation, Array]:
-    """The record with its jumps, its stamps and the state of its run, or only those `kinds` of
-    them, where a fit has found them (`states` times the usual); and these values, else 0."""
+    """The record with its jumps, delays and state (`states` times the usual) as a fit found them at
+    z (q,), only those of these `kinds`; and the z that it now has, 0 of the other kinds."""
     kept = np.array([item.kind in kinds for item in own.items], dtype=bool) * z
-    places = {kind: [k for k, i in enumerate(own.items) if i.kind == kind] for kind in BENT}
+    places = {kind: [k for k, i in enumerate(own.items) if i.kind == kind] for kind in NONLINEAR}
     if STATE in kinds:
         away = {own.items[k].subject: float(kept[k]) * states for k in places[STATE] if states}
         observation = replace(observation, away=away)
     if JUMP not in kinds:
         return observation, kept
     jumps, together = places[JUMP], kept[places[TICK]].sum()
-    place = np.clip(JUMP_STD * (kept[jumps] + together), -_LAST, _LAST)
+    place = np.clip(JUMP_STD * (kept[jumps] + together), -_FARTHEST, _FARTHEST)
     delays = {own.items[k].subject: float(kept[k] * own.items[k].std) for k in places[DELAY]}
     kept[jumps] = place / JUMP_STD - together
     volts = observation.drive.on_grid(observation.grid, place)
@@ -83,8 +83,8 @@ def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collecti
 
 def nuisances_about(observation: Observation, parameters: Parameters, voltage_noise: bool = False,
                     states: float = 0.0) -> Nuisances:
-    """All of a record, linear about the model at these parameters; `voltage_noise`: with what that
-    leaves open of straight stretches; `states`: with those of the run, so many times the usual."""
+    """All of a record, linearised at these parameters; `voltage_noise`: with errors of straight
+    voltage stretches; `states`: with the state of its run, so many times the usual."""
     simulation = observation.simulate(parameters)
     base = np.concatenate(observation.readings(simulation))
 
@@ -100,7 +100,7 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
             late = [-std * rate if s.quantity == quantity else np.zeros_like(rate)
                     for s, rate in zip(observation.signals, rates, strict=True)]
             found.append((Nuisance(DELAY, quantity, std, "s"), np.concatenate(late)))
-    # Each jump; levels of which the converter's steps hide something; straight stretches in noise.
+    # Each jump; levels hidden between two steps of the converter; straight stretches in noise.
     drive = observation.drive
     moves = [_Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
              for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))]
@@ -123,7 +123,7 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
 
 
 def of_planned(observation: Observation, parameters: Parameters, predicted: Array) -> Nuisances:
-    """Of a record that is planned, with readings (n,): zeros, and the state of its run."""
+    """Those of a planned record with predicted readings (n,): zeros, and the state of its run."""
     run = _states_of_run(observation, parameters, 1.0, predicted)
     return _gathered([*_zeros(observation.signals), *run], len(predicted))
 
@@ -137,8 +137,8 @@ def _states_of_run(observation: Observation, parameters: Parameters, states: flo
 
 
 class _Move(NamedTuple):
-    """One thing of the voltages that may be off, from `begin` to `end` [s]: what is added to the
-    places of the jumps, (e,), or to the knots of the channels, (k,) V each."""
+    """An error of the voltages from `begin` to `end` [s], added to the places of the jumps, (e,),
+    or to the knots of the channels, (k,) V each."""
 
     kind: str
     begin: float
@@ -151,8 +151,8 @@ def _responses(observation: Observation, moves: Sequence[_Move],
                change: Callable[[tuple[Any, ...]], Array]) -> Array:
     """(n, m): `change` (n,) of the readings by each of the moves (m,) of the voltages.
 
-    Of hundreds those far apart are made at once, and each has the readings from it to the next.
-    Where one is not forgotten by then, all of these are made alone."""
+    Moves far apart share a simulation: the readings from the begin of one to that of the next are
+    its own. If one has not decayed by then, the moves of its group are simulated one by one."""
     bins = [len(s.time) for s in observation.signals]
     rows = np.repeat(np.arange(len(bins)), bins)
     late = max(map(abs, observation.delays.values()), default=0.0)
@@ -166,10 +166,10 @@ def _responses(observation: Observation, moves: Sequence[_Move],
         errors = [sum(own) for own in zip(*known, strict=True)]
         return change((place, errors or None))
 
-    # Groups in which none begins before another is forgotten.
+    # Groups in which each move begins when the one before has decayed.
     groups, alone = list[list[int]](), list[int]()
     for k in sorted(range(len(moves)), key=lambda k: moves[k].begin):
-        far = [g for g in groups if moves[k].begin - moves[g[-1]].end >= _FORGOTTEN]
+        far = [g for g in groups if moves[k].begin - moves[g[-1]].end >= _DECAYED]
         if far:
             far[0].append(k)
         else:
@@ -178,11 +178,11 @@ def _responses(observation: Observation, moves: Sequence[_Move],
         groups, alone = [], list(range(len(moves)))
     found = in_threads(together, [(group,) for group in groups])
     for group, response in zip(groups, found, strict=True):
-        # Whether a signal shows nothing of a move any more when the next one begins.
+        # Has each move decayed in every signal when the next one begins?
         begins = np.array([moves[k].begin for k in group])
         owner = np.searchsorted(begins, ends, side="right") - 1
         following = np.append(begins[1:], _NEVER)[owner]
-        last = (owner >= 0) & (ends > following - _LAST_PART * _FORGOTTEN)
+        last = (owner >= 0) & (ends > following - _LAST_PART * _DECAYED)
         size, last_size = np.zeros((2, rows.max(initial=0) + 1))
         np.maximum.at(size, rows, np.abs(response))
         np.maximum.at(last_size, rows[last], np.abs(response[last]))

@@ -1,7 +1,7 @@
-"""A record as the engine sees it: the drive on a grid of cells, every signal in bins of time.
+"""A record prepared for fitting: its voltages on a grid of cells, its signals averaged over bins.
 
-Each bin of each signal is a row of an averaging matrix on what the simulation does on the grid.
-Loads or clamps are boundaries of the simulation; what a testing machine imposed is an input."""
+Each bin of a signal is a row of an averaging matrix that acts on the simulation on the grid. Loads
+or clamps are boundaries of the simulation; an elongation by a testing machine is an input."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -32,34 +32,33 @@ from sma_bench.records.record import Record, ohms_of_source
 QUANTITIES = ("current", "temperature", "deflection")
 EVERYTHING = (*QUANTITIES, *LOAD_FRAME)
 
-_CELL = 0.02  # s of the simulation; the voltages' energy over it is exact
-_LONG_CELL = 0.1
-# After a jump a wire is fast: what is read turns within a few hundredths of a second.
-_FINE_CELL, _FINE_SPAN = 0.0075, 0.45
-_CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
-# Time constants after which a wire does not tell how it was heated before, nor how hot it was.
-_FORGOTTEN, _COOLED = 5.0, 7.0
-_FAR_APART = 0.03, 1.0  # s, samples between which a jump needs more than a cell
-_NARROW = 1e-3  # s
-_HELD = 2e-4  # of the largest voltage, from cell to cell
-_SETTLED = 3.0  # s without a change after which the long cell will do
+_CELL = 0.02  # s of the simulation; the energy of the voltages in it is exact
+_LONG_CELL = 0.1  # s, while voltages are held
+_FINE_CELL, _FINE_SPAN = 0.0075, 0.45  # s after a jump, where readings turn within hundredths
+_CELLS = 80  # per time constant at least after a jump: latent heat acts at the end of a cell
+_HEATED, _COOLED = 5.0, 7.0  # time constants left out of a record that begins driven; warm
+_FAR_APART = 0.03, 1.0  # s between the samples about a jump: it needs more than one cell there
+_NARROW = 1e-3  # s between times of the grid, at least
+_HELD = 2e-4  # of the largest voltage: it changes less between two cells while it is held
+_SETTLED = 3.0  # s after a change, from which long cells suffice
 _BIN = 0.2  # s, shorter than any time constant of a wire in air
 _FULL = 0.5  # of the usual number of samples
-_MOST_CELLS = 12_000
-_CELLS_A_SAMPLE = 50  # what lies between readings so far apart is not to be known
-_END_OF_CELLS = 4_000_000  # whatever the stamps
-_WORTHWHILE = 0.7  # of the cells
+_MOST_CELLS = 12_000  # of _CELL; a longer record has longer cells
+_CELLS_A_SAMPLE = 50  # of a sparse record: details between its readings do not show
+_CELLS_LIMIT = 4_000_000  # for any record, whatever its timestamps
+_WORTHWHILE = 0.7  # of the cells: a coarse grid with more is not used
 MOVED = ("deflection", "elongation")
-_SOME, RETURNS = 3, 0.012  # bins; of a stroke, to which a bench returns from run to run
+_FEW = 3  # bins, too few to find where a motion rests
+RETURNS = 0.012  # of a stroke, to which a bench returns from run to run
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
-_CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
-_NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
-# What differs from run to run of one bench, one standard deviation: K, and shares.
+_CLOCK_STD = 0.02  # s, delay of an instrument's timestamps behind those of the voltages
+_NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is more exact
+# What differs between runs of one bench, one standard deviation: K, or share of the value.
 STATES = {"environment.ambient_temperature": 1.5, "wire.heat_transfer_coefficient": 0.07,
           "wire.maximum_recoverable_strain": 0.025}
-_OF_A_RUN = ("room", 1.0, "K"), ("draught", 100.0, "%"), ("stroke", 100.0, "%")
-_UNSET = 5.0  # of what a zero that was set is off by
-_WORTH_SAYING = 0.5  # standard deviations
+_REMARKS = ("room", 1.0, "K"), ("heat transfer", 100.0, "%"), ("stroke", 100.0, "%")
+_UNSET = 5.0  # times the error of a zero: a motion that rests farther off was not set to 0
+_WORTH_REPORTING = 0.5  # standard deviations of a run's state
 _HISTORIES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
               "bending", "temperature_reading")
 
@@ -78,9 +77,9 @@ def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
 class Sensor:
     """What is known of the sensor of a quantity, in the quantity's unit."""
 
-    zero_std: float  # of its unknown zero, 0 where it is taken at its word
-    least: float  # noise of a bin at least; no bench is simulated, and no voltage known, to less
-    drift: float  # slow, of a good instrument; one of a sample's scatter is usual in any case
+    zero_std: float  # of its unknown zero, 0: known
+    least: float  # noise of a bin: neither simulations nor voltages are more exact
+    drift: float  # slow, of a good instrument; as much as a sample scatters is always usual
     clock_std: float = _CLOCK_STD  # s, of the delay of its stamps; 0 for the driver's own
 
 
@@ -95,13 +94,13 @@ class BinnedSignal:
 
     name: str
     quantity: str
-    wire: int  # the column it belongs to
-    time: Array  # (b,) s, mean stamp
+    wire: int  # column of its wire
+    time: Array  # (b,) s, mean timestamp
     value: Array  # (b,) mean in the signal's unit
     count: Array  # (b,) samples
     period: float  # s between bins
     noise: float  # white, of a bin of the usual count, from sample to sample
-    average: csr_array  # (b, n) from a course on the grid to bins; from conductance to current
+    average: csr_array  # (b, n) from values on the grid to bins; from conductance to current
     sensor: Sensor
 
     @cached_property
@@ -125,19 +124,19 @@ class Observation:
     voltage: Array  # (n, w) V held over each cell
     drive: AppliedVoltage  # the voltages as read
     signals: tuple[BinnedSignal, ...]
-    left_out: tuple[str, ...]  # what the record holds that is not compared
-    holds: tuple[Hold, ...] = ()  # of a load frame, none of the composite and a bare wire
-    # (n,) m, elongation where a testing machine moves; one hold is then its zero
+    left_out: tuple[str, ...]  # signals of the record that are not compared
+    holds: tuple[Hold, ...] = ()  # of a load frame; none for a composite or a bare wire
+    # (n,) m, elongation by a testing machine; the only hold is then its zero
     imposed: Array | None = None
-    place: Array | float = 0.0  # (e,) of the jumps between their two samples
-    delays: Mapping[str, float] = field(default_factory=dict)  # s, by quantity, of stamps
-    ohms: float = 0.0  # volts for an ampere, where what a source holds stands for its voltage; or 0
-    epoch: float = 0.0  # s, of the grid's 0 on the clock of the day
-    before: "Observation | None" = None  # of the same bench, that ended last before this one began
-    # In which state its run was, standard deviations of `STATES` from the parameters'; and errors.
+    place: Array | float = 0.0  # (e,) of the jumps between their samples, -0.5 to 0.5
+    delays: Mapping[str, float] = field(default_factory=dict)  # s, of timestamps, by quantity
+    ohms: float = 0.0  # by which a source's readings were turned into volts; 0: volts were read
+    epoch: float = 0.0  # s, wall clock at 0 of the grid
+    before: "Observation | None" = None  # the last one of the same bench that ended before
+    # State of its run, standard deviations of `STATES` from the parameters; and its errors.
     away: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
-    zeros: Mapping[str, float] = field(default_factory=dict)  # taken off the readings, by signal
+    zeros: Mapping[str, float] = field(default_factory=dict)  # subtracted from each signal
     skipped: float = 0.0  # s at its beginning that are not compared: the bench had not settled
 
     @property
@@ -146,15 +145,15 @@ class Observation:
 
     @property
     def remarks(self) -> list[str]:
-        """What of it is not compared, and in which state its run was."""
-        found = [f"{signal} is {off:+.3g} m at rest, taken for 0"
+        """Zeros subtracted, time left out, state of the run."""
+        found = [f"{signal} is {off:+.3g} m at rest, taken as 0"
                  for signal, off in self.zeros.items()]
         if self.skipped:
             text = f"its first {self.skipped:.3g} s are left out"
             found.insert(0, f"begins before the bench has settled: {text}")
         far = [f"{what} {self.away[name] * std * factor:+.2g} {unit}"
-               for (name, std), (what, factor, unit) in zip(STATES.items(), _OF_A_RUN, strict=True)
-               if abs(self.away.get(name, 0.0)) > max(_WORTH_SAYING,
+               for (name, std), (what, factor, unit) in zip(STATES.items(), _REMARKS, strict=True)
+               if abs(self.away.get(name, 0.0)) > max(_WORTH_REPORTING,
                                                       2.0 * self.within.get(name, 0.0))]
         if far:
             found.append(f"its run differs from the first record's: {', '.join(far)}")
@@ -189,8 +188,8 @@ class Observation:
 
     def simulate(self, parameters: Parameters, voltage: Array | None = None,
                  loads: Array | None = None) -> Simulation:
-        """The model on this drive, with its own channels; too warm for martensite it leaves it at
-        once. `voltage`: (n, w) V, another one; `loads`: (h,) errors of the holds, m or N."""
+        """Simulate this drive with its own channels, from martensite (gone after one step if the
+        room is too warm); `voltage`: (n, w) V instead; `loads`: (h,) m or N, errors of holds."""
         if tuple(parameters["bench.channels"]) != self.channels:
             own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
             parameters = parameters.replace(own)
@@ -235,33 +234,33 @@ class Observation:
         return replace(parts[0], final=parts[-1].final, **joined)
 
     def readings(self, simulation: Simulation) -> list[Array]:
-        """What the model's sensors read, one (b,) array a signal."""
-        flat = self._averages @ self._courses(simulation)
+        """Readings of the model's sensors, one (b,) array a signal."""
+        flat = self._averages @ self._on_grid(simulation)
         return np.split(flat, np.cumsum([len(s.time) for s in self.signals])[:-1])
 
     def predict(self, benches: Sequence[Parameters]) -> Array:
-        """(b, p) what the sensors of p benches read, signal after signal."""
-        return np.column_stack([self._averages @ self._courses(self.simulate(bench))
+        """(b, p) readings of the sensors of p benches, signal after signal."""
+        return np.column_stack([self._averages @ self._on_grid(self.simulate(bench))
                                 for bench in benches])
 
     @cached_property
     def _averages(self) -> csr_array:
-        """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
+        """(rows, signals n) from all signals on the grid to all bins, with delayed timestamps."""
         late = {q: _interpolation(self.grid, self.grid - s) for q, s in self.delays.items() if s}
         own = [s.average @ late[s.quantity] if s.quantity in late else s.average
                for s in self.signals]
         return csr_array(block_diag(own, "csr"))
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
-        """(n,) on the grid: what the signal averages; the conductance for a current."""
-        courses = _course(signal.quantity, simulation)
-        course = courses[:, signal.wire % courses.shape[1]]
+        """(n,) of a signal on the grid; the conductance for a current."""
+        histories = _history(signal.quantity, simulation)
+        course = histories[:, signal.wire % histories.shape[1]]
         delay = self.delays.get(signal.quantity, 0.0)
         return np.interp(self.grid - delay, self.grid, course) if delay else course
 
-    def _courses(self, simulation: Simulation) -> Array:
-        """(signals n,) courses of all signals, one after the other, undelayed."""
-        of = {quantity: _course(quantity, simulation) for quantity in self.quantities}
+    def _on_grid(self, simulation: Simulation) -> Array:
+        """(signals n,) of all signals on the grid, one after the other, without delays."""
+        of = {quantity: _history(quantity, simulation) for quantity in self.quantities}
         which = [(of[s.quantity], s.wire) for s in self.signals]
         return np.concatenate([course[:, wire % course.shape[1]] for course, wire in which])
 
@@ -278,7 +277,7 @@ class Observation:
         return np.where(time < first, "initial", np.where(driven[at], "drive", "rest"))
 
     def zeroed(self) -> "Observation":
-        """Motions as from before the drive, where a bench returns within 1.2 % of its stroke."""
+        """Motions from their rest before the drive, to which a bench returns within 1.2 %."""
         signals = {s.name: s for s in self.signals}
         for name, zero in self.rests().items():
             value, sensor = signals[name].value, signals[name].sensor
@@ -288,13 +287,13 @@ class Observation:
         return replace(self, signals=tuple(signals.values()))
 
     def rests(self) -> dict[str, float]:
-        """By signal, where a motion was before the drive."""
+        """Mean of each motion before the drive, by signal."""
         befores = {s.name: s.value[self.phase_of(s.time) == "initial"]
                    for s in self.signals if s.quantity in MOVED}
-        return {name: float(np.mean(own)) for name, own in befores.items() if len(own) > _SOME}
+        return {name: float(np.mean(own)) for name, own in befores.items() if len(own) > _FEW}
 
     def less(self, zeros: Mapping[str, float]) -> "Observation":
-        """With these taken off its signals."""
+        """With these zeros subtracted from its signals."""
         less = tuple(replace(s, value=s.value - zeros.get(s.name, 0.0)) for s in self.signals)
         return replace(self, signals=less, zeros=zeros) if zeros else self
 
@@ -304,15 +303,15 @@ class Observation:
         return int(np.sum(driven[1:] & ~driven[:-1]))
 
     def between(self, start: float, stop: float) -> "Observation":
-        """The same drive, the signals of a span of time only."""
+        """The same drive with signals from `start` to `stop` s only."""
         kept = ((s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals)
         return replace(self, signals=tuple(
             replace(s, time=s.time[k], value=s.value[k], count=s.count[k], average=s.average[k])
             for s, k in kept if len(k) > 1))
 
 
-def _course(quantity: str, simulation: Simulation) -> Array:
-    """(n, w) of every wire; of a motion (n, 1)."""
+def _history(quantity: str, simulation: Simulation) -> Array:
+    """(n, w) of every wire; (n, 1) of motions and forces."""
     if quantity == "deflection":
         return simulation.deflection_reading[:, np.newaxis]
     if quantity == "elongation":
@@ -326,21 +325,21 @@ def _course(quantity: str, simulation: Simulation) -> Array:
 
 
 def shared_bin(records: Sequence[Record], parameters: Parameters, shortest: float = _BIN) -> float:
-    """Shortest bin [s] that suits every signal of all records: noise is that of a bin."""
+    """Shortest bin [s] that suits every signal of all records: a noise level holds for one bin."""
     measured = [m for record in records for m in find_rig(record, parameters).measured]
     return max([shortest, *(m.bin for m in measured)])
 
 
 def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
             quantities: Collection[str] = QUANTITIES) -> Observation:
-    """Prepare a record of the composite rig, or of one wire with or without a load frame, as far as
-    the parameters believe; `shortest_bin` in s of `shared_bin`. InputError: no voltage of some
+    """Prepare a record of the rig that the parameters describe, or of one wire with or without a
+    load frame; `shortest_bin` [s]: from `shared_bin`. Raises InputError: no voltage of some
     channel, nothing to compare with, a load frame that holds neither a load nor the clamps."""
     rig = find_rig(record, parameters)
     # Times that are simulated: an even grid (n,), sparser where voltages have been held for long.
     start, stop = rig.start, rig.stop
     sampled = sum(len(measured.time) for measured in rig.measured)
-    most = min(_MOST_CELLS + _CELLS_A_SAMPLE * sampled, _END_OF_CELLS)
+    most = min(_MOST_CELLS + _CELLS_A_SAMPLE * sampled, _CELLS_LIMIT)
     cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
     cell = max(cell, (stop - start) / most)
     even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
@@ -352,9 +351,9 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
     stride = max(1, round(_LONG_CELL / cell))
     even = even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
-    # Finer behind a jump, on both sides of it, and between two samples far apart.
-    forgets = time_constant(parameters)
-    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(forgets / _CELLS, 2.0 * _NARROW)))
+    # Finer after a jump, exact at the samples about it, and finer between them if far apart.
+    tau = time_constant(parameters)
+    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(tau / _CELLS, 2.0 * _NARROW)))
     loads = [hold.start for hold in rig.holds]
     early, late = rig.voltage.early, rig.voltage.late
     jumps = np.unique(np.concatenate([early, late, loads]))
@@ -369,17 +368,17 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     near[others <= start] = np.inf
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     grid = grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
-    # What was measured, once a voltage or a warmth that it begins with has been forgotten.
+    # Signals, from when a voltage or a warm wire at the beginning has no influence any more.
     known, skipped = list(rig.measured), 0.0
     level = np.array([c.voltage[0] for c in rig.voltage.channels])
     if np.max(np.abs(level)) > DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
-        skipped = _FORGOTTEN * forgets
+        skipped = _HEATED * tau
     elif begins_warm(rig, parameters):
-        skipped = _COOLED * forgets
+        skipped = _COOLED * tau
     if skipped:
         begin = start + skipped
         known = [m.where(m.time >= begin) for m in known if np.sum(m.time >= begin) > 1]
-    if rig.moved is not None and "deflection" in quantities:  # of which the force tells instead
+    if rig.moved is not None and "deflection" in quantities:  # an imposed motion shows in the force
         quantities = {*quantities, "force"}
     known = [m for m in known if m.quantity in quantities]
     signals = tuple(_binned(m, rig, grid, shortest_bin) for m in known)
@@ -389,9 +388,9 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
         if known:
             wrong = f"too few samples of {names} to compare with a model"
         elif any(m.quantity in quantities for m in rig.measured):
-            wrong = ("begins under voltage or warm, expected a rest first, or more than the "
-                     f"{skipped:.3g} s in which a wire of the stated time constant forgets what "
-                     "was before")
+            wrong = ("begins under voltage or warm, expected a rest first, or more than "
+                     f"{skipped:.3g} s, after which a wire of the stated time constant has "
+                     "forgotten its past")
         raise InputError(f"{record.path}: {wrong}")
     return Observation(str(record.path), rig.channels, rig.sides, grid,
                        rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
@@ -402,7 +401,7 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
 
 def observe_all(records: Sequence[Record], parameters: Parameters,
                 quantities: Collection[str] = EVERYTHING) -> list[Observation]:
-    """Records of one bench, in bins that suit all; each knows the one before it. As `observe`."""
+    """`observe` records of one bench in common bins; each is linked to the one before it."""
     shortest = shared_bin(records, parameters) if records else 0.0
     found = [observe(record, parameters, shortest, quantities) for record in records]
     ends = [one.epoch + one.grid[-1] for one in found]
@@ -424,7 +423,7 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     period = max(shortest, measured.bin)
     which = np.floor((measured.time - measured.time[0]) / period).astype(np.intp)
     _, which, count = np.unique(which, return_inverse=True, return_counts=True)
-    # The mean of far fewer samples than usual would scatter like no other.
+    # The mean of far fewer samples than usual scatters more than the others.
     full = (count >= _FULL * np.median(count))[which]
     measured = measured.where(full)
     time, value = measured.time, measured.values

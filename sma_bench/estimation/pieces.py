@@ -1,5 +1,5 @@
-"""A noisy voltage in straight stretches and curved ones: corners that its noise hides, and curves
-that a few straight lines would miss by more than the heat of a wire forgives."""
+"""Splits a noisy voltage into straight and curved stretches: finds corners that noise hides, and
+curves that a few straight lines would approximate too badly for the heat of a wire."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -9,12 +9,14 @@ from scipy.interpolate import make_smoothing_spline
 
 from sma_bench.arrays import Array
 
-FEWEST_IN_LINE = 10
+FEWEST_IN_LINE = 10  # samples
 CLEAR = 6.0  # standard errors of a bend, or of a step
-TOGGLES = 0.6  # of a converter's step: what scatters less may be two readings by turns
-_CURVED, _TURNS = 3.0, 4  # standard errors by which a bow is nearer than two lines; turns one way
-_FINE, _PASSED = 5e-3, 4.0  # a converter's step, of the range; steps that a curve passes
-_BLOCK, _BRIEF = 0.1, 0.5  # s, means that a curve is drawn through; in which a drive goes one way
+TOGGLES = 0.6  # of a converter's step: a smaller scatter may be readings between two codes only
+_CURVED = 3.0  # standard errors by which a cubic fits better than two lines
+_TURNS = 4  # in the same direction, one after the other, make a curve
+_FINE = 5e-3  # of the range: a converter with a smaller step is fine
+_PASSED = 4.0  # steps of a coarse converter that a curve passes at least
+_BLOCK, _BRIEF = 0.1, 0.5  # s, averaged before smoothing; in which a drive does not turn back
 ROUNDING = 1e-6  # of the largest voltage
 
 Span = tuple[int, int]  # first sample, and the one after the last
@@ -25,9 +27,9 @@ def straight_and_curved(time: Array, voltage: Array, spans: Sequence[tuple[int, 
     """Stretches of a voltage (n,) V that are straight, and those that are curved.
 
     Args:
-        time: (n,) s; spans: first sample, the one after the last and whether it is a ramp, of what
-            few lines describe, in order; those that share a sample are one stretch.
-        step: V, the converter's, 0 where it has none."""
+        time: (n,) s; spans: first sample, the one after the last and whether it is a ramp, from
+            `find_segments`, in order; those that share a sample belong to one stretch.
+        step: V, of the converter, 0 if it has none."""
     cut: list[Span] = []
     is_curved: list[bool] = []
     for first, last, is_ramp in spans:
@@ -41,7 +43,7 @@ def straight_and_curved(time: Array, voltage: Array, spans: Sequence[tuple[int, 
             else:
                 cut.append((begin, end))
                 is_curved.append(bends)
-    _spread(time, voltage, cut, is_curved, step)
+    _mark_curved(time, voltage, cut, is_curved, step)
 
     straight: list[Span] = []
     curved: list[Span] = []
@@ -56,11 +58,11 @@ def straight_and_curved(time: Array, voltage: Array, spans: Sequence[tuple[int, 
     return straight, curved
 
 
-def _spread(time: Array, voltage: Array, spans: Sequence[Span], is_curved: list[bool],
+def _mark_curved(time: Array, voltage: Array, spans: Sequence[Span], is_curved: list[bool],
             step: float) -> None:
-    """Curved are also lines that turn the same way again and again, and straight ones between two
-    curved, no longer than these, where a curve turns. Of a coarse converter a curve that passes
-    few of its steps would follow them."""
+    """Also mark as curved: lines that turn the same way several times in a row, and short straight
+    ones between two curved. With a coarse converter a span of few steps is never curved, because
+    the curve would follow the steps."""
     scatter = float(np.median(np.abs(np.diff(voltage, 2)))) / 0.6745 / np.sqrt(6.0)
     is_fine = step <= max(_FINE * float(np.ptp(voltage)), scatter / TOGGLES)
     passes = [is_fine or bool(np.ptp(voltage[a:b]) > _PASSED * step) for a, b in spans]
@@ -81,21 +83,19 @@ def _spread(time: Array, voltage: Array, spans: Sequence[Span], is_curved: list[
 
 
 def _is_one_line(time: Array, voltage: Array, one: Span, other: Span) -> bool:
-    """Whether one straight line is as near to two stretches as two are."""
-    def left(begin: int, end: int) -> float:
+    """True if one straight line fits two stretches as well as two lines."""
+    def misfit(begin: int, end: int) -> float:
         t, v = (x[begin:end] - x[begin:end].mean() for x in (time, voltage))
         return float(v @ v) - float(t @ v) ** 2 / max(float(t @ t), 1e-12)
 
-    own, n = left(*one) + left(*other), other[1] - one[0]
-    return (
-        min(one[1] - one[0], other[1] - other[0]) >= FEWEST_IN_LINE
-        and left(one[0], other[1]) - own < CLEAR**2 * own / n
-    )
+    own, n = misfit(*one) + misfit(*other), other[1] - one[0]
+    are_long = min(one[1] - one[0], other[1] - other[0]) >= FEWEST_IN_LINE
+    return are_long and misfit(one[0], other[1]) - own < CLEAR**2 * own / n
 
 
 def _corner(time: Array, volts: Array, step: float) -> tuple[int, bool]:
-    """The sample at which a straight line turns into another, 0 where none surely does; and whether
-    a bow is nearer than two lines."""
+    """The sample at which a straight line turns into another, 0 without a clear corner; and whether
+    a cubic fits better than two lines."""
     n = len(time)
     if n < 2 * FEWEST_IN_LINE:
         return 0, False
@@ -106,7 +106,7 @@ def _corner(time: Array, volts: Array, step: float) -> tuple[int, bool]:
     least = max(white, step / np.sqrt(12.0), ROUNDING * float(np.max(np.abs(volts))))
     if np.max(np.abs(np.cumsum(left))) <= least * np.sqrt(n):
         return 0, False
-    # Of a hinge at every sample what is no line's: its power, and what it explains of the rest.
+    # For a hinge at each sample, without its straight part: its power, and the power it explains.
     count, s, q, r, w = (np.cumsum(x[::-1])[::-1] for x in (t**0, t, t * t, left, t * left))
     power = q - 2.0 * t * s + t * t * count - (s - t * count) ** 2 / n - (q - t * s) ** 2 / (t @ t)
     inside = slice(FEWEST_IN_LINE, n - FEWEST_IN_LINE + 1)
@@ -121,19 +121,19 @@ def _corner(time: Array, volts: Array, step: float) -> tuple[int, bool]:
 
 
 def independent(n: int, noise: float, step: float, rise: float) -> float:
-    """How many of n samples have errors of their own, where a voltage rises (V): those on one step
-    (V) of a converter that no noise (V) makes toggle have one."""
+    """Number of independent errors of n samples of a voltage that rises by `rise` V: without enough
+    noise (V) to make the converter toggle, all samples on one of its steps (V) have the same."""
     return n if noise >= TOGGLES * step else min(n, max(abs(rise) / step, 1.0))
 
 
 def smoothed(time: Array, volts: Array, step: float) -> Array:
-    """(n,) V of a curve freed of noise: a smoothing spline through means of some samples, of a
-    coarse converter over some of its steps (V, 0 where noise makes it toggle)."""
-    usual = np.diff(time)
-    way = np.arange(time[0], time[-1], max(_BRIEF, float(usual.max(initial=0.0))))
+    """(n,) V of a curve without its noise: a smoothing spline through means of blocks, which span
+    some steps (V) of a coarse converter; `step` is 0 where noise makes it toggle."""
+    intervals = np.diff(time)
+    way = np.arange(time[0], time[-1], max(_BRIEF, float(intervals.max(initial=0.0))))
     passed = float(np.sum(np.abs(np.diff(np.interp(way, time, volts)))))
     length = _PASSED * step * float(time[-1] - time[0]) / max(passed, step, 1e-12)
-    block = (time - time[0]) // max(_BLOCK, length, float(np.median(usual)))
+    block = (time - time[0]) // max(_BLOCK, length, float(np.median(intervals)))
     edges = np.flatnonzero(np.diff(block, prepend=-1.0))
     count = np.diff(np.append(edges, len(time)))
     centre, mean = np.add.reduceat(time, edges) / count, np.add.reduceat(volts, edges) / count

@@ -17,18 +17,25 @@ from scipy.linalg import block_diag, cho_factor
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import BENT, STATE, TICK, Nuisances, moved_to, nuisances_about
+from sma_bench.estimation.nuisances import (
+    NONLINEAR,
+    STATE,
+    TICK,
+    Nuisances,
+    moved_to,
+    nuisances_about,
+)
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 
-_STEP = 1e-4  # prior deviations, of a difference
-# Of a stroke, and readings: a misfit before it is known, the usual one, how few a record is worth.
-_FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0
-USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0
-_DIFFER = 0.02  # of a stroke, a run from the next
+_STEP = 1e-4  # prior deviations, of a finite difference
+# Misfits as shares of a stroke, and how many independent readings they or a record count for.
+_FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0  # before the first fit
+USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0  # the prior of a misfit
+_DIFFER = 0.02  # of a stroke, between two runs of a bench
 _LEAST_COUNT, _MOST_MISFIT, _NOTHING = 8.0, 0.06, 1e-300
-# Its numbers are the straight part of a wander whose rest is the sensor's noise.
+# Its numbers are the straight part of a wandering zero; the rest is noise of the sensor.
 DRIFT_EFFECT = "deflection_drift"
 
 
@@ -42,24 +49,24 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Records, the noise of their sensors, and what else may be off in each record."""
+    """Records, the noise of their sensors, and the nuisances of each record."""
 
     observations: tuple[Observation, ...]
     noise: dict[str, Noise]  # by signal name
     nuisances: tuple[Nuisances, ...]  # one per record
-    # Whether the voltmeter's noise is carried along (two simulations a straight stretch), and
-    # differences are taken on the records' own cells: for estimates whose errors count
+    # Fit errors of straight voltage stretches along (two simulations each), and take derivatives
+    # on the records' own cells: for estimates whose errors matter
     voltage_noise: bool = False
-    # of problems that differ in their noise only: what does not depend on it
+    # cache of what does not depend on the noise, for problems that differ in it only
     shared: dict[tuple[Nuisances, ...], Array] = field(default_factory=dict)
-    weights: tuple[Noise, ...] = ()  # one per block, for its sensor's: what a model leaves
-    states: float = 0.0  # times the usual by which the states of the runs differ, 0 of one run
-    later: float = 0.0  # the same of runs after the first, which is as the parameters have it
+    weights: tuple[Noise, ...] = ()  # one per block instead of its sensor's: the misfit of a model
+    states: float = 0.0  # size of the runs' states, in times the usual; 0: all runs are alike
+    later: float = 0.0  # the same if only runs after the first may differ from the parameters
 
     @classmethod
     def of(cls, observations: Sequence[Observation], voltage_noise: bool = False,
            later: float = 0.0) -> Self:
-        """Noise as yet unknown, nuisances none."""
+        """With a first guess of the noise and without nuisances."""
         noise = {s.name: first_guess(s.noise, s.period, s.usual_drift)
                  for observation in observations for s in observation.signals}
         none = tuple(Nuisances((), np.zeros((sum(len(s.time) for s in o.signals), 0)))
@@ -67,7 +74,7 @@ class Problem:
         return cls(tuple(observations), noise, none, voltage_noise, later=later)
 
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
-        """Nuisances about the model at these parameters, and about where they were `moved`."""
+        """With nuisances linearised at these parameters, about where they were `moved` to."""
         asked = [(o, parameters, self.voltage_noise, states or (self.later if k else 0.0))
                  for k, o in enumerate(self.observations)]
         pairs = zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
@@ -76,15 +83,15 @@ class Problem:
         return replace(self, nuisances=found, states=states, shared={})
 
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
-        """(q,) which nuisances are."""
+        """(q,) True for nuisances of this kind."""
         return np.array([item.kind == kind for own in self.nuisances for item in own.items], bool)
 
     def about(self, parameters: Parameters, z: Array) -> Self:
-        """`with_nuisances`, what may be far off `moved`: a run's state, a logger's jumps."""
-        return self.moved(parameters, z, BENT if self.of_kind(TICK).any() else (STATE,))
+        """`moved`: the states of runs, or all kinds if a slow logger's jumps are among them."""
+        return self.moved(parameters, z, NONLINEAR if self.of_kind(TICK).any() else (STATE,))
 
-    def moved(self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT) -> Self:
-        """Nuisances of these kinds about where a fit has found them (q,), all linear there."""
+    def moved(self, parameters: Parameters, z: Array, kinds: Collection[str] = NONLINEAR) -> Self:
+        """Nuisances of these kinds moved to where a fit found them (q,); all linearised there."""
         observations, nuisances = [], list[Nuisances]()
         ends = np.cumsum([len(own.items) for own in self.nuisances])[:-1]
         for observation, own, here in zip(self.observations, self.nuisances, np.split(z, ends),
@@ -108,15 +115,15 @@ class Problem:
         return replace(self, noise=found)
 
     def with_weights(self, residual: Array | None = None, repeated: bool = False) -> Self:
-        """What an imperfect model leaves (n,), counted for as many readings as it is worth.
+        """With weights by the misfit of an imperfect model, whose residual (n,) this is.
 
-        A misfit is no noise: of n bins whose residuals have the correlation rho from one to the
-        next, n (1 - rho)/(1 + rho) are independent, and one bin counts for as little. Its size is
-        what was left, and what is usual, for two readings more: laws of wires leave 1.5 % of a
-        stroke, and unless each run has its own states it differs by 2 % from the next. Before
-        anything is fitted: 3 %, ten readings a record; where more than 6 % was left the fit has not
-        arrived, and a smaller weight would keep it there. `repeated`: every stroke shows the misfit
-        again, so what exceeds the noise counts as in one of the strokes; for errors only."""
+        A misfit is not noise: of n bins whose residuals have the correlation rho from one to the
+        next, n (1 - rho)/(1 + rho) are independent, and each bin counts for less accordingly. The
+        size of the misfit is that of the residual, averaged with a prior that counts as two
+        readings: laws of wires leave 1.5 % of a stroke, and runs differ by 2 % unless each has its
+        own state. Before the first fit: 3 %, ten readings a record. At most 6 %: where more is left
+        the fit has not arrived, and a smaller weight would keep it there. `repeated`: every stroke
+        shows the misfit again, so all strokes count as one for it; for errors only."""
         found, rho = [], [] if residual is None else self.correlations(residual)
         for number, block in enumerate(self.blocks):
             signal, bins = block.signal, len(block.signal.time)
@@ -140,12 +147,12 @@ class Problem:
         return replace(self, weights=tuple(found))
 
     def correlations(self, residual: Array) -> list[float]:
-        """Of every block: how far a residual (n,) of one bin is that of the next, 0 to 1."""
+        """Correlation of a residual (n,) from one bin to the next, for each block, 0 to 1."""
         parts = (residual[block.rows] for block in self.blocks)
         return [max(float(r[1:] @ r[:-1]) / max(float(r @ r), _NOTHING), 0.0) for r in parts]
 
     def in_states(self, z: Array, errors: Array) -> list[Observation]:
-        """The records, each in the state of its run by z (q,), within standard `errors` (q,)."""
+        """The records with the states of their runs at z (q,) and their standard `errors` (q,)."""
         items = [(k, item) for k, own in enumerate(self.nuisances) for item in own.items]
         away, within = ([dict[str, float]() for _ in self.observations] for _ in range(2))
         sizes = (self.states or self.later) * np.column_stack([z, errors])
@@ -179,7 +186,7 @@ class Problem:
 
     @cached_property
     def measured(self) -> Array:
-        """(n,) values, as if the nuisances were linear from 0."""
+        """(n,) values, shifted as if the nuisances had been linearised about 0."""
         about = np.concatenate([own.about + np.zeros(len(own.items)) for own in self.nuisances])
         values = np.concatenate([block.signal.value for block in self.blocks])
         return values + self.nuisance_rows @ about if about.any() else values
@@ -189,7 +196,7 @@ class Problem:
         return self.predict_many([parameters])[:, 0]
 
     def predict_many(self, benches: Sequence[Parameters]) -> Array:
-        """(n, p) readings of p benches. Raises FitError: these are no numbers of a bench."""
+        """(n, p) readings of p benches. Raises FitError: invalid parameters."""
         parts = max(1, min(threads_to_spare(), len(benches) // 2))
         ends = np.linspace(0, len(benches), parts + 1).astype(int).tolist()
 
@@ -204,12 +211,12 @@ class Problem:
     def derivatives(self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int],
                     rough: bool = False) -> Array:
         """d(readings)/dx (n, k) of the `which` unknowns, where the readings are `predicted`.
-        `rough` ones, of cells of a whole bin, point the way only.
+        `rough`: on cells of a whole bin, good enough for a direction only.
 
-        Differences of so small a step that they agree with derivatives: across a narrow valley a
-        large one is off by what the records do not hold (0.02 prior deviations: a supply's
-        resistance known six times as well as it is). They are taken on coarse cells: a quarter of a
-        bin is off by hundredths of a nat (half a bin by up to 0.9, which let a rival in)."""
+        The steps of these finite differences are small, because across a narrow valley large ones
+        pretend information (with 0.02 prior deviations a supply's resistance seemed to be known six
+        times as well as it was). Coarse cells of a quarter of a bin change the evidence by
+        hundredths of a nat only (half a bin: by up to 0.9, which let a wrong candidate in)."""
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
@@ -217,7 +224,7 @@ class Problem:
         benches = [unknowns.nudged(here, x, i, step)
                    for i, step in zip(which, steps.tolist(), strict=True)]
         cells, of_seen = (sum(len(o.grid) for o in one.observations) for one in (self, seen))
-        if len(which) * cells <= (len(which) + 1) * of_seen:  # `here` is known on these
+        if len(which) * cells <= (len(which) + 1) * of_seen:  # on which readings at x are known
             return (self.predict_many(benches) - predicted[:, np.newaxis]) / steps
         readings = seen.predict_many([here, *benches])
         return (readings[:, 1:] - readings[:, :1]) / steps
@@ -236,12 +243,12 @@ class Problem:
         return replace(self, observations=tuple(o.rough for o in self.observations))
 
     def whiten(self, rows: Array) -> Array:
-        """Rows (n,) or (n, k) as independent ones of unit variance."""
+        """Rows (n,) or (n, k), made independent with unit variance."""
         return whiten(rows, [len(block.signal.time) for block in self.blocks], self.noises)
 
     @property
     def noises(self) -> tuple[Noise, ...]:
-        """Of every block: its sensor's, or what stands in its place."""
+        """Noise of each block: its weight if there is one, else its sensor's."""
         return self.weights or tuple(self.noise[block.signal.name] for block in self.blocks)
 
     @property
@@ -257,7 +264,7 @@ class Problem:
 
     @cached_property
     def nuisance_information(self) -> Array:
-        """(q, q) of the nuisances alone, their priors' among it; each is of one record."""
+        """(q, q) of the nuisances alone with their priors, block diagonal in the records."""
         rows, first, known = self.white_nuisances, np.zeros(2, dtype=int), []
         for own in self.nuisances:
             last = first + own.columns.shape
@@ -276,5 +283,5 @@ class Problem:
         return sum(noise.log_scale(len(block.signal.time)) for block, noise in pairs)
 
     def log_prior(self) -> float:
-        """Log of how probable such noise is of these sensors."""
+        """Log prior of the noise of all sensors."""
         return sum(noise.log_prior for noise in self.noise.values())

@@ -1,7 +1,7 @@
-"""What a fit found: every number with its errors and where they come from, and what was off.
+"""The result of a fit: every number with its errors and their causes, zeros and delays.
 
-A factor of a product that records know only as a whole (`Unknown.partner`) is told apart from the
-other by the priors alone; both are given here, with what that leaves open."""
+Records determine some numbers only as a product (`Unknown.partner`). Its factors are separated by
+their priors alone; both are given here, with the error that this leaves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,10 +19,10 @@ OF_EXCESS = ("sensor.temperature.emissivity", "sensor.temperature.spot_share")
 _SENSED = ("current", "voltage", "temperature", "deflection")
 SCALES = dict.fromkeys(OF_EXCESS, "temperature") | {f"sensor.{q}.gain": q for q in _SENSED}
 ZEROS = {f"sensor.{q}.offset": q for q in _SENSED}
-_UP = 1e-3
-_SAME = 3.0  # nats below the best within which a start has ended at the same place
-_NEAR = 0.5  # standard deviations
-_AT_END = 1e-3  # prior deviations
+_UP = 1e-3  # relative, of all voltages, for a finite difference
+_SAME = 3.0  # nats below the best: a start that is nearer ended at the same place
+_NEAR = 0.5  # standard deviations: so did one that is nearer in every unknown
+_AT_END = 1e-3  # prior deviations from an end of the range
 
 
 @dataclass(frozen=True)
@@ -31,19 +31,19 @@ class Number:
 
     name: str
     value: float
-    std: float  # never above that of what was known
-    believed: float
+    std: float  # never above `prior_std`
+    believed: float  # mean of the prior
     prior_std: float
-    moved: float  # prior deviations from what was believed
+    moved: float  # prior deviations from `believed`
     informed: float  # share of its information from the records: 1 - variance/prior variance
     at_end: bool  # of its range
-    # What the scale of each sensor adds to its error, one standard deviation, signed.
+    # Signed error that one standard deviation of each sensor's scale or zero adds.
     shares: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Off:
-    """A sensor's zero or the delay of its stamps, as found, of a prior `prior_std`."""
+    """A sensor's zero or the delay of its timestamps; `prior_std`: before the fit."""
 
     kind: str
     path: str
@@ -68,16 +68,16 @@ class Result:
 
     @property
     def samples(self) -> int:
-        """How many stand behind it."""
+        """Number of samples behind it."""
         return int(sum(block.signal.count.sum() for block in self.fit.problem.blocks))
 
 
 def result_of(fitted: Fit, tried: Sequence[Fit],
               scales: Mapping[str, Array] | None = None) -> Result:
-    """Numbers of a fit, which is the best of those `tried` carried to its end; `scales`: of
-    `scale_errors`, where the errors are to hold those of the sensors' scales."""
-    # A product's deviation x splits by the priors: own share w of it, w' = sqrt(1 - w^2) the
-    # partner's, and w' n against w n, which no record tells, n of unit prior.
+    """Numbers of the final fit after those `tried` from several starts; `scales`: from
+    `scale_errors`, if the errors are to include those of the sensors' scales."""
+    # A product's deviation x is split by the priors: w x + w' n to this factor, w' x - w n to its
+    # partner, with w' = sqrt(1 - w^2) and n of unit prior, which no record determines.
     unknowns = fitted.unknowns
     split = [k for k, item in enumerate(unknowns.items) if item.partner]
     items, rows = list[tuple[int, Unknown]](), []
@@ -110,13 +110,12 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
     numbers = tuple(_number(item, float(moved[i]), float(sigma[i]), bool(at_end[k]),
                             {name: float(x[i]) for name, x in shifts.items()})
                     for i, (k, item) in enumerate(items))
-    # Of what the records know better than its factors.
+    # Products, which the records determine better than their factors.
     deviations, products = np.sqrt(np.diag(fitted.covariance)).tolist(), []
     for k, item in ((k, unknowns.items[k]) for k in split):
         name, times = f"{item.name} x {item.partner}", float(unknowns.base[item.partner])
         whole = Unknown(name, item.mean * times, item.std * times, log=True)
         products.append(_number(whole, float(fitted.x[k]), deviations[k], False))
-    # Zeros and delays.
     errors = np.sqrt(np.diag(fitted.joint))[len(fitted.x) :]
     pairs = zip(fitted.problem.observations, fitted.problem.nuisances, strict=True)
     named = [(observation.path, item) for observation, own in pairs for item in own.items]
@@ -124,7 +123,7 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
         Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
         for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
         if item.kind in (OFFSET, DELAY))
-    # A start has ended where the best one did if it is as probable, or as near.
+    # A start ended where the best one did if it is about as probable, or near in all unknowns.
     best = max(tried, key=lambda one: one.evidence)
     near = _NEAR * np.sqrt(np.diag(best.covariance))
     agreed = sum(one.evidence > best.evidence - _SAME or bool(np.all(np.abs(one.x - best.x) < near))
@@ -136,15 +135,15 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
 def _number(item: Unknown, moved: float, sigma: float, at_end: bool,
             shifts: Mapping[str, float] = {}) -> Number:
     informed, slope = float(np.clip(1.0 - sigma**2, 0.0, 1.0)), item.slope(moved)
-    # By its logarithm, a number that has grown has a larger error than a believed one.
+    # Moved by its logarithm, a number that has grown could get a larger error than its prior.
     std, shares = min(slope * sigma, item.std), {name: slope * by for name, by in shifts.items()}
     return Number(item.name, item.value(moved), std, item.mean, item.std, moved, informed, at_end,
                   shares)
 
 
 def scale_errors(fitted: Fit) -> dict[str, Array]:
-    """(k,) by sensor's scale or zero: how far the unknowns go, in prior deviations, with one
-    standard deviation of it, when every signal of its quantity is off alike."""
+    """By sensor's scale or zero: (k,) prior deviations by which one standard deviation of it moves
+    the unknowns, if all signals of its quantity share the error."""
     problem, parameters = fitted.problem, fitted.parameters
 
     def with_volts(factor: float, offset: float) -> Array:
@@ -170,10 +169,10 @@ def scale_errors(fitted: Fit) -> dict[str, Array]:
         elif quantity == "voltage":
             column = with_volts(1.0 + _UP, 0.0) / _UP
             for block in problem.blocks:
-                if block.signal.quantity == "current":  # which is read off its volts
+                if block.signal.quantity == "current":  # predicted from its volts
                     column[block.rows] -= fitted.predicted[block.rows]
             column *= std / parameters[name]
-        # A camera's scale is that of the Celsius degrees, its spot and emissivity of the excess.
+        # A camera's gain acts on degrees Celsius, its spot and emissivity on the excess temperature
         zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
         if name in OF_EXCESS:
             zero = parameters["environment.ambient_temperature"]

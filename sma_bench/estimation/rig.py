@@ -1,4 +1,4 @@
-"""What a record holds of a rig: its wires, what drives and holds them, and everything measured."""
+"""The rig in a record: its wires, their voltages and loads, and all measured signals."""
 
 from dataclasses import dataclass, replace
 
@@ -36,24 +36,24 @@ from sma_bench.records.record import (
     with_commands,
 )
 
-_MOST_BINS = 1500  # a signal
-_SAMPLES_A_BIN = 2.0
+_MOST_BINS = 1500  # per signal
+_SAMPLES_A_BIN = 2.0  # at least
 _FEWEST_SAMPLES = 20
-_ZERO_STD = 1e-4  # m, of where a testing machine's elongation is 0, by a careful hand
-DRIVEN = 0.02  # of the largest voltage
-# What readings change by at 0 V before the first drive where a bench has not settled: in their unit
-# and of their range, more than noise explains; and K that a wire is warmer than the room.
+_ZERO_STD = 1e-4  # m, of a testing machine's zero that was set with care
+DRIVEN = 0.02  # of the largest voltage: a wire with less is not driven
+# Changes of readings at 0 V before the first drive that show that a bench has not settled: in their
+# unit, and as a share of their range; they must exceed _CLEAR times the noise.
 _SETTLES = {"temperature": (2.0, 0.0), "deflection": (0.0, 0.02)}
-_CLEAR, _WARM, _SOME = 10.0, 15.0, 5  # times the noise; K; samples
+_CLEAR, _WARM, _SOME = 10.0, 15.0, 5  # times; K above the room; samples of a median
 _AFTER = 0.1  # s that the last voltage is held for
-_MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
-# What a load frame does to a wire: loads that it holds, or clamps that stay.
+_MARGIN = 0.3  # s about a change of load, where the force is known too roughly
+# Signals of a load frame, which holds a load or clamps the wire.
 LOAD_FRAME = ("elongation", "force")
-_MOSTLY = 0.7  # of a record, that is held
+_MOSTLY = 0.7  # of a record, for which loads are held
 _PULL, _SHORTEST_PULL = 0.5, 5.0  # of the range of the force; s
-_SHORTEST_HOLD, _RAMP_PIECE = 2.0, 0.25  # s; of a changing load the pieces
+_SHORTEST_HOLD, _RAMP_PIECE = 2.0, 0.25  # s, of a held load; of the pieces of a changing one
 _NARROW = 1e-3  # s
-_STILL = 1.5  # of its noise: an elongation that stands still scatters no more
+_STILL = 1.5  # times its noise: a constant elongation scatters less
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Hold:
 
 @dataclass(frozen=True)
 class Measured:
-    """Samples of one signal that a model can be held to; `wire` is the column of its wire."""
+    """Samples of one signal to compare with a model; `wire` is the column of its wire."""
 
     name: str
     quantity: str
@@ -98,7 +98,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Rig:
-    """Wires, what drives and holds them, and everything measured."""
+    """Wires, their voltages and loads, and all measured signals."""
 
     record: Record
     channels: tuple[str, ...]
@@ -109,11 +109,11 @@ class Rig:
     holds: tuple[Hold, ...]
     measured: tuple[Measured, ...]
     ohms: float
-    moved: tuple[Array, Array] | None  # s and m, of a testing machine
+    moved: tuple[Array, Array] | None  # s and m, elongation by a testing machine
 
 
 def find_rig(record: Record, parameters: Parameters) -> Rig:
-    """The rig that a record is of. Raises InputError: as `observe`."""
+    """Find the rig in a record. Raises InputError: as `observe`."""
     # Its wires: those of the bench, or the only one that the record has.
     record, ohms = with_commands(record, parameters)
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
@@ -132,14 +132,14 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         time, metres = imposed_elongation(record)
         if len(time) < _FEWEST_SAMPLES:
             raise InputError(f"{record.path}: {len(time)} samples of elongation, too few to impose")
-        # Ramps and holds are freed of their noise as those of a voltage; in tenths of the stroke.
+        # Noise is removed from ramps and holds as from those of a voltage; in tenths of the stroke.
         unit = 0.1 * float(np.ptp(metres)) or 1.0
-        course = applied_voltage([(time, metres / unit)]).channels[0]
-        moved = course.time, unit * course.voltage
+        polygon = applied_voltage([(time, metres / unit)]).channels[0]
+        moved = polygon.time, unit * polygon.voltage
         holds: tuple[Hold, ...] = (Hold(start, stop, True, 0.0, _ZERO_STD),)
     else:
         holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
-    # What is measured; of one wire of a beam, or a bare one of the same alloy, not the tip.
+    # Measured signals; the tip of a beam only if the record has all its wires.
     wanted = [(f"{channel}.{quantity}", quantity, wire)
               for wire, channel in enumerate(channels) for quantity in ("current", "temperature")]
     tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
@@ -161,8 +161,8 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         away: Array = np.mean([signs[side] * np.interp(time, *samples(record, f"{side}.range"))
                                for side in looking], axis=0)
         found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
-    # What is read after the last voltage cannot be compared, nor a current while the voltage jumps,
-    # of which only bounds are known, nor an elongation while the load changes (`_MARGIN`).
+    # Left out: readings after the last voltage, currents while the voltage jumps (the moment is
+    # known only within bounds), and elongations while the load changes (`_MARGIN`).
     measured = []
     for one in found:
         if len(one.time) < _FEWEST_SAMPLES:
@@ -182,7 +182,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
 
 
 def begins_warm(rig: Rig, parameters: Parameters) -> bool:
-    """Whether wires cool, or what they move still moves, when the record begins without voltage."""
+    """True if wires still cool, or their load still moves, before the first voltage of a record."""
     channels = rig.voltage.channels
     least = DRIVEN * max(float(np.max(np.abs(c.voltage))) for c in channels)
     # Until the last reading without voltage, of which a slow logger has few.
@@ -204,7 +204,7 @@ def begins_warm(rig: Rig, parameters: Parameters) -> bool:
 
 
 def pulls_a_load(record: Record, parameters: Parameters) -> bool:
-    """Whether wires move a load of their own: no beam, no clamps, no frame that measures it."""
+    """True if wires move a load: no beam, no clamps, no weight whose force is measured."""
     kind = load_kind(parameters)
     return kind in LOADS and not (kind == "force" and has_samples(record, "force"))
 
@@ -214,7 +214,7 @@ def has_load_frame(record: Record) -> bool:
 
 
 def is_clamped(record: Record) -> bool:
-    """Whether the length is held: the elongation stands still, or was not measured."""
+    """True if the length is held: the elongation is constant, or was not measured."""
     if not has_samples(record, "elongation"):
         return True
     elongation = samples(record, "elongation")[1]
@@ -242,10 +242,10 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
     for plateau in plateaus:
         first, last = max(plateau.start, here), min(plateau.stop, stop)
         inside = (time >= plateau.start) & (time <= plateau.stop)
-        holds += _followed(time, force, here, first)
+        holds += _short_holds(time, force, here, first)
         holds.append(Hold(first, last, False, *_mean(force[inside])))
         here = last
-    return (*holds, *_followed(time, force, here, stop))
+    return (*holds, *_short_holds(time, force, here, stop))
 
 
 def _plateaus(record: Record) -> tuple[list[VoltageSegment], float]:
@@ -256,7 +256,7 @@ def _plateaus(record: Record) -> tuple[list[VoltageSegment], float]:
 
 
 def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
-    """From when to when (s) a frame pulls evenly that mostly neither holds nor stands still."""
+    """Start and stop [s] of even pulls of a load frame; none if it mostly holds load or length."""
     if is_clamped(record) or not has_samples(record, "force"):
         return ()
     time, force = samples(record, "force")
@@ -269,14 +269,14 @@ def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
 
 
 def _mean(values: Array) -> tuple[float, float]:
-    """Mean and its standard error, coloured noise counted."""
+    """Mean and its standard error, which counts autocorrelated noise."""
     centred = values - values.mean()
     factor = inflation(autocorrelation([centred]))
     return float(values.mean()), float(np.std(centred) * np.sqrt(factor / len(values)))
 
 
-def _followed(time: Array, force: Array, start: float, stop: float) -> list[Hold]:
-    """Pieces short enough for the force to be one number in each; one where it was not measured."""
+def _short_holds(time: Array, force: Array, start: float, stop: float) -> list[Hold]:
+    """Holds so short that each has one force; a single one where the force was not measured."""
     if stop - start < _NARROW:
         return []
     edges = np.linspace(start, stop, int(np.ceil((stop - start) / _RAMP_PIECE)) + 1)

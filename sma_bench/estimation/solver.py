@@ -1,12 +1,12 @@
-"""Most probable numbers of a model, and how well it predicts all records.
+"""The most probable unknowns of a model, and its evidence.
 
     maximise  log p(records | x, z, noise) + log p(x) + log p(z)
 
-by Gauss-Newton steps within bounds, damped where they must be, the nuisances z eliminated; the
-noise of every sensor is estimated anew from what the model leaves. The evidence is Laplace's.
+by Gauss-Newton steps within bounds, damped where necessary, with the nuisances z eliminated. The
+noise of every sensor is estimated again from the residual. The evidence is Laplace's approximation.
 
-scipy.optimize.least_squares took two to eight times as many simulations to the same place: it
-cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat."""
+scipy.optimize.least_squares took two to eight times as many simulations to the same optimum: it
+cannot reuse derivatives of unknowns that hardly move, or stop at a fraction of a nat."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,21 +25,21 @@ from sma_bench.estimation.unknowns import Unknowns, shares_of_factor
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
 
-_MOST_STEPS, _FAR_STEPS = 10, 30
-# Where between its samples a slow logger's voltage jumps, prior deviations.
+_MOST_STEPS, _FAR_STEPS = 10, 30  # of one round; of the approach from afar
+# prior deviations: starts for the moment between two samples at which a slow logger's voltage jumps
 _TICKS = -1.3, 0.0, 1.3
-_MOVES = 3  # of what no straight line goes to
-_WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # weights found again, more while they change
-_SAME_WEIGHT = 0.5  # of a level's logarithm
-_USUAL_STATES, _LEAST_STATE = 0.5, 0.05
-_RADIUS = 8.0  # prior deviations a step
-_GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last, near the end and afar
+_MOVES = 3  # of nuisances that are not linear
+_WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # of new weights: at least; at most, while they change
+_SAME_WEIGHT = 0.5  # change of a level's logarithm
+_USUAL_STATES, _LEAST_STATE = 0.5, 0.05  # states that the prior of their size counts as; times it
+_RADIUS = 8.0  # prior deviations, the longest step
+_GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last one; from afar
 _SHORTEST = 1e-2  # prior deviations: a step that is shorter and promises little is not taken
-_NEAR = 0.1  # prior deviations: derivatives of the baseline are not taken anew
+_NEAR = 0.1  # prior deviations: derivatives of the baseline are reused at this distance
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
-_STRETCHES = 6  # a record: about a pulse and its rest
+_STRETCHES = 6  # per record, for the jackknife: about a pulse and its rest each
 _TINY = 1e-12
-_HALVINGS, _ALLOWED = 5, 16.0  # of a draw, at most; times what it should cost
+_HALVINGS, _ALLOWED = 5, 16.0  # of a draw, at most; times its expected cost
 by_evidence = attrgetter("evidence")
 
 
@@ -55,7 +55,7 @@ class Fit:
     evidence: float  # log of p(records | model), up to a constant common to all models
     predicted: Array  # (n,) readings
     derivatives: Array  # (n, k) of these
-    left: Array  # (n,) residual, the nuisances' part taken off
+    left: Array  # (n,) residual, without the nuisances' part
 
     @property
     def covariance(self) -> Array:
@@ -70,34 +70,34 @@ class Fit:
 
     @cached_property
     def parameters(self) -> Parameters:
-        """The bench as this model has it."""
+        """The bench at x."""
         return self.unknowns.parameters(self.x)
 
     @property
     def std(self) -> Array:
-        """(k,) standard errors in the parameters' units, what the model leaves taken for noise."""
+        """(k,) standard errors in the parameters' units, as if the residual were noise only."""
         turn = self.unknowns.turn(self.x)
         return self.unknowns.slopes(self.x) * np.sqrt(np.diag(turn @ self.covariance @ turn.T))
 
     @property
     def errors(self) -> Array:
-        """(k,) standard errors as they are stated: `jackknifed`, and of an effect's number what is
-        unknown of the factor that it enters the model with."""
+        """(k,) standard errors for reports: `jackknifed`, and for an effect's number the error of
+        the factor with which it is multiplied in the model."""
         values = self.unknowns.values(self.x).tolist()
         factors = [sum(shares_of_factor(name, value, self.parameters).values())
                    for name, value in zip(self.unknowns.names, values, strict=True)]
         return np.hypot(self.jackknifed, factors)
 
     def with_repeated_misfit(self) -> "Fit":
-        """The same fit with the errors that a misfit leaves which every stroke shows again."""
+        """The same fit with errors for a misfit that repeats in every stroke."""
         problem = self.problem.with_weights(self.left, repeated=True)
         rows = np.hstack([problem.whiten(self.derivatives), problem.white_nuisances])
         joint = np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1]))
         return replace(self, joint=np.asarray(joint, dtype=np.float64))
 
     def within_reach(self, steps: Array) -> Array:
-        """Steps (p, k) from x, drawn by its covariance, each halved until the records cost no more
-        than sixteen times what they should."""
+        """Steps (p, k) from x, drawn by its covariance, each halved until the cost grows by no more
+        than sixteen times what the covariance predicts."""
         problem = self.problem.with_weights(self.left, repeated=True)
         low, high = self.unknowns.bounds()
 
@@ -121,13 +121,13 @@ class Fit:
 
     @cached_property
     def jackknifed(self) -> Array:
-        """(k,) standard errors as large as what the model leaves asks for, the prior's at most.
+        """(k,) standard errors, enlarged for the misfit of the model, the prior's at most.
 
-        A misfit is the same in every bin of a pulse. So the records are cut into stretches, and the
-        numbers are estimated once without each (the jackknife over groups; Shao and Tu, The
-        Jackknife and Bootstrap, 1995), by a straight line from the optimum. By as much as the
-        squares of these moves exceed what noise would move, the variance of a number is larger. The
-        pull of the priors, of which a stretch is no sample, is taken off before."""
+        All bins of a pulse share its misfit. So records are cut into stretches, and the unknowns
+        are estimated without each in turn (the jackknife over groups; Shao and Tu, The Jackknife
+        and Bootstrap, 1995), linearised at the optimum. If the squares of these moves are larger
+        than noise would make them, the variance of an unknown grows by that ratio. The pull of the
+        priors, which no stretch contains, is subtracted first."""
         rows = np.hstack([self.problem.whiten(self.derivatives), self.problem.white_nuisances])
         information, k = rows.T @ rows + np.eye(rows.shape[1]), len(self.x)
         turn = self.unknowns.turn(self.x)
@@ -141,7 +141,7 @@ class Fit:
                 without = np.linalg.solve(
                     information - own.T @ own,
                     np.column_stack([np.eye(len(information), k), own.T @ white[index]]))[:k]
-            except np.linalg.LinAlgError:  # readings beyond all measure: nothing else tells them
+            except np.linalg.LinAlgError:  # absurd readings: only this stretch has them
                 return self.unknowns.slopes(self.x)
             moved += (turn @ without[:, k]) ** 2
             expected += np.diag(turn @ without[:, :k] @ turn.T) - known
@@ -153,14 +153,14 @@ class Fit:
 def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
         frozen: Array | None = None, keep_noise: bool = False, far: bool = False,
         predicted: Array | None = None) -> Fit:
-    """Fit one model to records and their noise as first guessed, from x (k,).
+    """Fit one model to records from x (k,), beginning with the noise of the problem.
 
     Args:
         rounds: of fitting and estimating the noise; one after an approach from afar.
-        frozen: (n, baseline) derivatives of the baseline's unknowns, taken as they are: quick and a
-            little off; else computed anew in every round. Those of effects are at every step.
-        keep_noise: take the problem's noise as it is.
-        far: at first every step takes all derivatives anew, and for noise what the model leaves.
+        frozen: (n, baseline) derivatives of the baseline's unknowns to use: quick and slightly off;
+            else they are computed in every round. Those of effects are computed at every step.
+        keep_noise: do not estimate the noise.
+        far: x is far from the optimum; begin with `_State.approach`.
         predicted: (n,) readings at x, where they are known."""
     state = _State(problem, unknowns, x, frozen, predicted)
     if far:
@@ -179,7 +179,7 @@ def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
 
 def _from_starts(problem: Problem, unknowns: Unknowns, starts: Sequence[Array], report: Report,
                  **how: Any) -> tuple[Fit, list[Fit]]:
-    """The best of the fits from all starts (k,), and these; one step less than the whole."""
+    """The best of the fits from all starts (k,), and all; their progress leaves one step."""
 
     def from_start(number: int, x: Array) -> Fit:
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
@@ -193,13 +193,13 @@ def _from_starts(problem: Problem, unknowns: Unknowns, starts: Sequence[Array], 
 def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
                 starts: Sequence[Array], report: Report = silent,
                 keep_noise: bool = False) -> tuple[Fit, list[Fit]]:
-    """The model fitted from several starts (k,) each, the best of them carried to its end; and all
-    of them. `keep_noise`: begin the last fit with the noise that the best start left; the first
-    guess may end it some nats before its optimum, as the diagnosis' thresholds were found."""
+    """The final fit, from the best of several starts (k,), and the fits of all starts.
+    `keep_noise`: begin the final fit with the noise of the best start. With the first guess it may
+    end some nats before its optimum; the thresholds of the diagnosis were found with that."""
     first = problem.with_nuisances(parameters)
     best, tried = _from_starts(first, unknowns, starts, report, far=True)
     if first.of_kind(TICK).any():
-        # No straight line goes from a jump that comes late to one that comes early.
+        # Linearised at a late jump, a fit does not find an early one: try several.
         there = np.where(first.of_kind(TICK), np.array(_TICKS)[:, np.newaxis], 0.0)
         begun = [(first.moved(best.parameters, z), unknowns, best.x) for z in there]
         best = max(in_threads(partial(fit, rounds=1), begun), key=by_evidence)
@@ -213,9 +213,9 @@ def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
 
 def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
                   starts: Sequence[Array], report: Report = silent) -> tuple[list[Fit], list[Fit]]:
-    """As `recalibrate`, by a model that is never quite right: records are weighed by what it leaves
-    (`Problem.with_weights`), found again as the fit improves. Of several runs two fits: all alike,
-    and each with states of its own (`STATES`), as different as they show."""
+    """`recalibrate` for a model that is never quite right: records are weighted by its misfit
+    (`Problem.with_weights`), again as the fit improves. Several runs have two fits: in equal
+    states, and each in a state of its own (`STATES`), of a size that is estimated."""
     several = float(len(problem.observations) > 1)
     first = problem.with_nuisances(parameters, several).with_weights()
     best, tried = _from_starts(first, unknowns, starts, report, rounds=2, keep_noise=True)
@@ -237,19 +237,19 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
 
 
 def independent_readings(fitted: Fit) -> float:
-    """How many its records are worth."""
+    """Number of independent readings that its records are worth."""
     rho = np.array(fitted.problem.correlations(fitted.left))
     bins = np.array([len(block.signal.time) for block in fitted.problem.blocks])
     return float(np.sum(np.maximum(bins * (1.0 - rho) / (1.0 + rho), 1.0)))
 
 
 def log_evidence(fitted: Fit, readings: float) -> float:
-    """ln Z of the model, of N readings that are worth one each, constants left out; the size of its
-    misfit is integrated out: with a mean square m (in strokes), and 1.5 % as good as two readings,
+    """ln Z of the model for N independent readings, without constants. The size of its misfit is
+    integrated out: with its mean square m (in strokes), and a prior of 1.5 % worth two readings,
 
         ln Z = -(2 + N)/2 ln(2 0.015^2 + N m) - q^2/2 - ln|H|/2
 
-    of numbers q in prior deviations and their information H (Laplace)."""
+    with unknowns and nuisances q in prior deviations, and their information H (Laplace)."""
     blocks = fitted.problem.blocks
     squares = [np.mean(fitted.left[b.rows] ** 2) / max(np.ptp(b.signal.value), b.signal.noise) ** 2
                for b in blocks]
@@ -260,7 +260,7 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 
 
 def _with_common_states(fitted: Fit) -> Array:
-    """(k,) where it ended, what all its runs differ by alike moved into the bench's own numbers."""
+    """(k,) of the fit, with the mean state of its runs moved into the bench's own parameters."""
     unknowns, runs, x = fitted.unknowns, len(fitted.problem.observations), fitted.x.copy()
     items = (item for own in fitted.problem.nuisances for item in own.items)
     for item, z in zip(items, fitted.z.tolist(), strict=True):
@@ -272,8 +272,8 @@ def _with_common_states(fitted: Fit) -> Array:
 
 
 def _scale_of_states(fitted: Fit) -> float:
-    """By how many times the usual the states of these runs differ from each other, half a usual
-    one added; what all runs share cannot be separated from the bench's own numbers."""
+    """Size of the runs' states in times the usual, with half a usual one as prior; without their
+    mean, which cannot be separated from the bench's own parameters."""
     before, runs = fitted.problem.states, len(fitted.problem.observations)
     items = [item for own in fitted.problem.nuisances for item in own.items]
     names = {item.subject for item in items if item.kind == STATE}
@@ -289,7 +289,7 @@ def _scale_of_states(fitted: Fit) -> float:
 
 
 def least_scale(fitted: Fit) -> float:
-    """By how many times the usual the states of a further run may differ at least: 1 after one."""
+    """Least size of a new run's state in times the usual: 1 after one run, less after several."""
     compared = len(STATES) * (len(fitted.problem.observations) - 1)
     return float(np.sqrt(_USUAL_STATES / (_USUAL_STATES + compared)))
 
@@ -303,7 +303,7 @@ class _State:
         self.problem = replace(problem, noise=noise)
         self.unknowns, self.given, self.base = unknowns, frozen, frozen
         self.linear_about: Array | None = None
-        # Of the steps that share them: problem, baseline, its whitened columns, what they tell.
+        # Cache: problem, baseline's derivatives, these whitened, information, and on the nuisances.
         self.kept: tuple[Problem, Array, Array, Array, Array] | None = None
         self.slopes_of: tuple[Array | None, Array | None] = None, None
         self.x = np.clip(x, *unknowns.bounds())
@@ -313,7 +313,7 @@ class _State:
         self.z = self._best_nuisances()
 
     def linearise(self, rough: bool = False) -> None:
-        """Derivatives at the present place, or about there; `rough` ones afar."""
+        """Take derivatives at x, or reuse those from nearby; `rough`: for steps from afar."""
         about, near = self.linear_about, 0.0 if self.problem.voltage_noise else _NEAR
         off = np.inf if about is None else np.max(np.abs(self.x - about), initial=0.0)
         if self.given is None and off > near:
@@ -339,8 +339,8 @@ class _State:
         return float(white @ white + self.x @ self.x + self.z @ self.z)
 
     def approach(self) -> None:
-        """Steps from afar, as long as they gain. At every second one rough derivatives are those of
-        the last, mended by what its step showed (Broyden, Math. Comp. 19 (1965) 577)."""
+        """Steps from afar, as long as they gain. At every second one rough derivatives are not
+        computed, but updated by the last step (Broyden, Math. Comp. 19 (1965) 577)."""
         before, last, rough = np.inf, None, self.problem.voltage_noise
         for _ in range(_FAR_STEPS):
             self.problem = self.problem.with_noise(self.left())
@@ -348,17 +348,17 @@ class _State:
                 last = self.x, self.predicted
                 self.linearise(rough)
             else:
-                self._mend(*last)
+                self._broyden(*last)
                 last = None
             now = self._descend(self.cost()) + 2.0 * self.problem.log_scale()
             if last is not None and before - now < 2.0 * _SETTLED:
                 break
             before = now
         if rough:
-            self.linear_about = None  # such derivatives are not those of the place
+            self.linear_about = None  # such derivatives are not those at x
 
-    def _mend(self, x: Array, predicted: Array) -> None:
-        """Derivatives of the baseline, so changed that a step from x is told as it was."""
+    def _broyden(self, x: Array, predicted: Array) -> None:
+        """Update the baseline's derivatives to reproduce the step from x to here."""
         assert self.base is not None
         moved, missed = self.x - x, self.predicted - predicted - self.slopes @ (self.x - x)
         self.base = self.base + np.outer(missed, moved[: self.base.shape[1]]) / (moved @ moved)
@@ -376,7 +376,7 @@ class _State:
             cost = now
 
     def _descend(self, cost: float) -> float:
-        """The least damped step that gains, and the cost after it; none if none does."""
+        """Take the least damped step that gains, if one does; returns the cost after it."""
         low, high = self.unknowns.bounds()
         normal, force = self._system()
         force[: len(self.x)] -= self.x
@@ -396,7 +396,7 @@ class _State:
         return cost
 
     def _system(self) -> tuple[Array, Array]:
-        """Information (k + q, k + q) on x and z, priors among it, and the residual's pull."""
+        """Information (k + q, k + q) on x and z with their priors; right-hand side (k + q,)."""
         problem, nuisances = self.problem, self.problem.white_nuisances
         if self.kept is None or self.kept[0] is not problem or self.kept[1] is not self.base:
             assert self.base is not None
@@ -413,7 +413,7 @@ class _State:
         return information, np.concatenate([base.T @ left, own.T @ left, nuisances.T @ left])
 
     def _step(self, normal: Array, force: Array, damping: float, low: Array, high: Array) -> Array:
-        """(k,) damped in the unknowns, in their prior deviations (Levenberg)."""
+        """(k,) step in prior deviations, within bounds, damped in the unknowns (Levenberg)."""
         k, damped = len(self.x), normal.copy()
         damped[range(k), range(k)] += damping
         free = np.ones(len(force), dtype=bool)

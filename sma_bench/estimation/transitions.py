@@ -15,25 +15,25 @@ from sma_bench.parameters.parameters import BRANCH
 
 TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
 _A_S = BY_NAME[TEMPERATURES[0]]
-FIELD_TEMPERATURES = (339.0, 367.0, 337.0, 309.0)  # K, of wires of which nothing is stated
-_FIELD_HALF_WIDTH = 0.3  # of the half width's logarithm, about theirs
-# Of the centre c in K and of the logarithms of h (most wires have 5 to 20 K), w_A and w_M.
+FIELD_TEMPERATURES = (339.0, 367.0, 337.0, 309.0)  # K, of typical wires
+_FIELD_HALF_WIDTH = 0.3  # standard deviation of the logarithm of their half width
+# Spreads of the centre c [K] and of the logarithms of h (most wires have 5 to 20 K), w_A and w_M.
 _SPREADS = np.array([25.0, 1.2, 0.5, 0.5])
 _COORDINATES = np.array([[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25],
                          [-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
 _TEMPERATURES = np.linalg.inv(_COORDINATES)
-# The two ranges of one wire are as wide as each other, but for a third of what wires differ by.
+# Root of their correlations: both ranges of a wire are about equally wide.
 _ALIKE = np.linalg.cholesky([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0],
                              [0.0, 0.0, 1.0, 0.85], [0.0, 0.0, 0.85, 1.0]])
 LOWEST, HIGHEST = (float(end or 0.0) for end in (_A_S.low, _A_S.high))
 NARROWEST = 0.2  # K, of a range: the core divides by its width
-_FARTHEST = 5.0  # of a logarithm
-_WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
-_TINY = 1e-4  # prior deviations, of a difference
+_FARTHEST = 5.0  # by which the logarithm of a width may fall
+_WIDEST = (5.0, 2.0, 2.0)  # by which it may rise: half width, both ranges
+_TINY = 1e-4  # prior deviations, of a finite difference
 
 
 def _covariance(mean: Array, as_usual: bool) -> Array:
-    """(4, 4) K2, by which those of wires differ about one's; `as_usual`: its hysteresis is."""
+    """(4, 4) K2 of wires about a mean (4,) K; `as_usual`: with the hysteresis of typical ones."""
     coordinates = _COORDINATES @ mean
     scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
     scale[0] = _SPREADS[0]
@@ -45,25 +45,25 @@ def _covariance(mean: Array, as_usual: bool) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """The transition temperatures that are not exact, moved so that their order holds wherever a
-    fit goes, as functions of x (m,) of unit normal prior.
+    """The transition temperatures that are not exact, as functions of x (m,) of unit normal prior
+    that keep their order wherever a fit goes.
 
         A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
 
-    of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
-    and w_M of the two ranges, moved by their logarithms. What is not stated is as in the field."""
+    with a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths
+    w_A and w_M of the two ranges, moved by their logarithms. What is not stated is as typical."""
 
-    mean: Array  # (4,) K, as believed
-    moving: NDArray[np.intp]  # (m,) which of them
-    turn: Array  # (m, m) K, the root of the prior's covariance, symmetric but for units
+    mean: Array  # (4,) K, of the prior
+    moving: NDArray[np.intp]  # (m,) indices of those that are not exact
+    turn: Array  # (m, m) K, root of the prior's covariance: deviations times a symmetric matrix
 
     @classmethod
     def of(cls, parameters: Parameters) -> Self:
-        """As believed; a temperature whose deviation is 0 is exact."""
+        """The prior by a parameter set; a temperature whose uncertainty is 0 is exact."""
         mean = np.array([parameters[name] for name in TEMPERATURES])
         stated = np.array([name in parameters.given for name in TEMPERATURES])
         as_usual = tuple(mean.tolist()) == FIELD_TEMPERATURES
-        if stated.any() and not stated.all():  # the others are where such wires have them
+        if stated.any() and not stated.all():  # the others: likely ones beside these
             field = np.array(FIELD_TEMPERATURES)
             alike = _covariance(field, True)[:, stated]
             typical = field + alike @ np.linalg.solve(alike[stated], (mean - field)[stated])
@@ -99,15 +99,15 @@ class Transitions:
         straight = self.mean.copy()
         straight[self.moving] += self.turn @ x
         centre, *widths = (_COORDINATES @ straight).tolist()
-        believed = (_COORDINATES[1:] @ self.mean).tolist()
+        prior = (_COORDINATES[1:] @ self.mean).tolist()
         half, austenite, martensite = (
             width if known <= 0.0  # an impossible hysteresis is left as it is
             else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), most))
-            for width, known, most in zip(widths, believed, _WIDEST, strict=True))
+            for width, known, most in zip(widths, prior, _WIDEST, strict=True))
         branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
         exact = [k for k in range(4) if k not in self.moving]
         for number in exact:
-            # An exact one takes its range along, and the other range if none of that is exact.
+            # An exact one shifts its range to it, and the other range if that has no exact one.
             branch, sign = number // 2, (-1.0, 1.0, 1.0, -1.0)[number]
             middle, reach = branches[branch]
             off = float(self.mean[number]) - middle - sign * reach
@@ -127,20 +127,20 @@ class Transitions:
 
     def x_of(self, values: Sequence[float] | Array) -> Array:
         """Inverse of `values`."""
-        believed, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
-        logs = (believed > 0.0) & (found > 0.0) & (np.arange(4) > 0)
-        found[logs] = believed[logs] * (1.0 + np.log(found[logs] / believed[logs]))
+        prior, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
+        logs = (prior > 0.0) & (found > 0.0) & (np.arange(4) > 0)
+        found[logs] = prior[logs] * (1.0 + np.log(found[logs] / prior[logs]))
         rows = slice(1 if len(self.moving) < 4 else 0, None)  # exact ones place the centre
-        columns, off = _COORDINATES[rows, self.moving], (found - believed)[rows]
+        columns, off = _COORDINATES[rows, self.moving], (found - prior)[rows]
         straight = np.linalg.lstsq(columns, off, rcond=None)[0]
         return np.asarray(np.linalg.solve(self.turn, straight))
 
-    def of_grains(self, four: Array, spread: float, believed: float) -> Array:
-        """(4,) K whose ranges are those of the centres of grains, and what the spread of their
-        hystereses adds to them; where it is as believed, nothing more than is in them."""
+    def of_grains(self, four: Array, spread: float, prior: float) -> Array:
+        """(4,) K for a `spread` of the hystereses of grains. Ranges come from the spread of their
+        centres and from that of their hystereses; those in `four` hold for the spread `prior`."""
         centre, half, *ranges = (_COORDINATES @ four).tolist()
         _, known, *usual = (_COORDINATES @ self.mean).tolist()
-        before, added = BRANCH * believed * known, BRANCH * spread * half
+        before, added = BRANCH * prior * known, BRANCH * spread * half
         room = HIGHEST - LOWEST - 2.0 * half
         shares = [math.sqrt(max(1.0 - (before / as_usual) ** 2, 0.0)) for as_usual in usual]
         wide = [min(math.hypot(own * share, added), room)

@@ -1,7 +1,7 @@
-"""What a fit may move: the bench's parameters under their priors, and the numbers of effects.
+"""The unknowns of a fit: the bench's parameters under their priors, and the numbers of effects.
 
-One list of everything that records can depend on. A record knows some factors only as a product
-(h A_c, m c_p): one of them is moved and carries what is known of the other (`partner`)."""
+One list of everything that records can depend on. Records determine some factors only as a product
+(h A_c, m c_p): one of them is moved, with the uncertainty of both (`partner`)."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -38,35 +38,35 @@ from sma_bench.physics.effects.residual_strain import FRESH_START
 _PRIORS = read_yaml(Path(__file__).with_name("priors.yaml"))
 HEAT, IF_STATED, UNMODELLED = (tuple(_PRIORS[k]) for k in ("heat", "if_stated", "unmodelled"))
 MATERIAL = (*TEMPERATURES, *_PRIORS["material"])
-# One number where front and back are believed alike: that they are not is an effect.
+# One number if front and back are stated alike: a difference is an effect.
 FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_deflection_back"
 BENDING = ("composite.deflection_per_strain", FRONT, BACK)
 LOADS, PRODUCTS, FIELD = _PRIORS["loads"], _PRIORS["products"], _PRIORS["field"]
 LAW_EFFECT = "transformation_law"
-# A load frame shows strains and stresses by the wire's length (from its mass) and section.
+# Strains and stresses of a load frame depend on the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
 SPREAD, END = "wire.hysteresis_spread", "wire.end_length"
 Shapes = Mapping[str, Sequence[float]]  # deviation, lowest and highest value by name
 SHAPES: Shapes = _PRIORS["shapes"]
-# Other laws than the cosine: grains that follow them, a nuisance where they are few.
+# Shares of grains that follow other laws than the cosine: a nuisance if they are few.
 OTHER_LAWS: Shapes = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
-_RESIDUAL = "effect.residual_strain.share"  # which laws have that let the load decide the strain
-_RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
-_FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
-_WIDEST_SPREAD = 1.5  # of its hystereses
+_RESIDUAL = "effect.residual_strain.share"  # laws in ORIENTING contain it
+_RISE = "effect.temperature_dependent_convection.rise"  # free convection contains it
+_FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # relative error; factor of a room on still air
+_WIDEST_SPREAD = 1.5  # of the hystereses of grains
 _LONGEST_END = 0.03  # m
-_CONDUCTIVITY, _END = 13.0, 0.6  # W/(m K), of NiTi between its phases; share that is unknown
-_LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
+_CONDUCTIVITY, _END = 13.0, 0.6  # W/(m K), between NiTi's phases; relative error of a cool end
+_LEAST_HALF_WIDTH = 0.1  # K, of the hysteresis with wire.law normal
 _TIMES = {f"{EFFECT_PREFIX}{effect.name}.{number}": other
           for effect in EFFECTS.values() for number, other in (effect.times or {}).items()}
 _STRAIGHT = {*TEMPERATURES, *_PRIORS["straight"]}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
-_REACH = 30.0  # prior deviations
-_STILL = 1e-6  # deviations a prior deviation
-_ABOVE_NOTHING = 1e-3  # of what is believed: the least of a number that cannot be 0
+_REACH = 30.0  # prior deviations, of x
+_STILL = 1e-6  # deviations per prior deviation: x does not move a temperature any more
+_LEAST_SHARE = 1e-3  # of its mean: lower bound of a number that cannot be 0
 _SMALLEST = 1e-300
-_MOST_LOG = 50.0  # of a number's logarithm, beyond which it says nothing any more
-_TINY = 1e-4  # prior deviations, of a difference
+_MOST_LOG = 50.0  # change of a logarithm, against overflow
+_TINY = 1e-4  # prior deviations, of a finite difference
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,12 @@ class Unknown:
     std: float
     low: float = -math.inf
     high: float = math.inf
-    # Its logarithm is moved, because the model mostly knows products, which are straight lines
-    # there; `mean` is then that of the value, `std/mean` of the logarithm.
+    # Its logarithm is moved, because the model mostly depends on products, which are linear in
+    # logarithms; `mean` is still that of the value, and `std/mean` that of the logarithm.
     log: bool = False
     tied: tuple[str, ...] = ()  # parameters that take the same value
-    partner: str = ""  # the other factor of a product that records know only as a whole
-    own_std: float = 0.0  # what is known of this factor alone, the rest of `std` the partner's
+    partner: str = ""  # the other factor of a product that records determine only as a whole
+    own_std: float = 0.0  # part of `std` from this factor, the rest is its partner's
 
     def value(self, x: float) -> float:
         """In its unit, `x` prior deviations from the mean, within its range."""
@@ -101,7 +101,7 @@ class Unknown:
         return math.log(ratio) * self.mean / self.std if ratio > 0.0 else -math.inf
 
     def slope(self, x: float) -> float:
-        """Units a prior deviation."""
+        """Units per prior deviation."""
         return self.std / self.mean * self.value(x) if self.log else self.std
 
 
@@ -109,10 +109,10 @@ class Unknown:
 class Unknowns:
     """Numbers of the bench, shapes of its kinetics, then of effects, as x (k,) prior deviations."""
 
-    base: Parameters  # all the others
+    base: Parameters  # values of all others
     items: tuple[Unknown, ...]  # in this order
-    bench: int  # how many are the bench's own
-    baseline: int  # with the shapes, how many every candidate has
+    bench: int  # number of the bench's own
+    baseline: int  # number of these and the shapes, which every candidate has
     effects: tuple[str, ...] = ()  # names, in the order of the numbers
     forms: tuple[str, ...] = ()  # of each of these, the usual one being ""
     transitions: Transitions | None = None  # of the temperatures, which are moved together
@@ -132,7 +132,7 @@ class Unknowns:
 
     @cached_property
     def _together(self) -> slice:
-        """Where the temperatures that are moved together stand."""
+        """Indices of the temperatures that are moved together."""
         if self.transitions is None:
             return slice(0, 0)
         first = self.names.index(TEMPERATURES[self.transitions.moving[0]])
@@ -151,11 +151,11 @@ class Unknowns:
         return np.array([parameters[name] for name in self.names])
 
     def slopes(self, x: Array) -> Array:
-        """(k,) units a deviation of each number; `turn` says how x moves these."""
+        """(k,) units per deviation of each number; `turn`: how x moves the deviations."""
         return np.array([item.slope(at) for item, at in zip(self.items, x, strict=True)])
 
     def turn(self, x: Array) -> Array:
-        """(k, k) d(deviations of the numbers)/dx: 1 but for temperatures, which move together."""
+        """(k, k) d(`deviations`)/dx: 1 except for temperatures, which move together."""
         turn = np.eye(len(self.items))
         if self.transitions is not None:
             std = self.transitions.std[:, np.newaxis]
@@ -166,14 +166,14 @@ class Unknowns:
                 moved = [np.subtract(self._four(x + d), self._four(x - d)) for d in steps]
                 columns = np.column_stack(moved) / (2.0 * _TINY * std)
                 own, turn[self._together, spread] = columns[:, :-1], columns[:, -1]
-            # At an end of the range, where x moves it no more, one is as unknown as it was.
+            # At an end of its range x moves a temperature no more; its uncertainty stays.
             still = np.linalg.norm(own, axis=1) < _STILL
             own[still] = np.eye(len(own))[still]
             turn[self._together, self._together] = own
         return turn
 
     def deviations(self, x: Array) -> Array:
-        """(k,) of the numbers from what is believed, each in its own prior deviations."""
+        """(k,) of the numbers from their prior means, each in its own prior deviations."""
         found = x.copy()
         if self.transitions is not None:
             moved = (np.array(self._four(x)) - self.transitions.mean)[self.transitions.moving]
@@ -198,7 +198,7 @@ class Unknowns:
             found = self._four(x)
             four = dict(zip(TEMPERATURES, found, strict=True))
             values |= four
-            if self.base["wire.law"] == "normal":  # a hysteresis, of widths as these allow
+            if self.base["wire.law"] == "normal":  # a positive hysteresis and a possible spread
                 a_s, a_f, m_s, m_f = found
                 apart = abs(a_f - a_s - m_s + m_f) / (2.0 * BRANCH * _WIDEST_SPREAD)
                 least = max(_LEAST_HALF_WIDTH, apart)
@@ -217,9 +217,9 @@ class Unknowns:
 
     @cached_property
     def _grains_apart(self) -> bool:
-        """Whether nothing is stated of the branches of a law of grains: centres and widths of their
-        hystereses are then apart, ranges follow from both. A fit that moves ranges and spread would
-        go to grains that differ in nothing but their widths, at no cost."""
+        """True for a law of grains without stated temperatures: the spreads of the centres and of
+        the widths of their hystereses are then independent, and ranges follow from both. If ranges
+        and spread were moved, a fit would end, at no cost, at grains that differ in width only."""
         return SPREAD in self.names and not self.base.given.intersection(TEMPERATURES)
 
     def _four(self, x: Array) -> list[float]:
@@ -241,7 +241,7 @@ class Unknowns:
         return bench.replace(dict.fromkeys((item.name, *item.tied), item.value(x[i] + step)))
 
     def holding(self, name: str, x: Array) -> tuple["Unknowns", Array]:
-        """Without one number of an effect, which stays where it is at x; and x of the others."""
+        """Without one number of an effect, which keeps its value at x; and x of the others."""
         if name not in self.names:
             return self, x
         k = self.names.index(name)
@@ -250,7 +250,7 @@ class Unknowns:
         return replace(self, base=base, items=items), np.delete(x, k)
 
     def start(self, spread: float = 0.3) -> Array:
-        """What is believed, effects off; `spread` in deviations, at 0 of which it is flat."""
+        """(k,) prior means, effects off; `spread`: deviations, because at 0 its derivative is 0."""
         return np.array([spread if n == "wire.transition_spread" else 0.0 for n in self.names])
 
     def with_effects(self, names: Iterable[str], forms: Mapping[str, str] = {}) -> "Unknowns":
@@ -265,10 +265,10 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
                         load_frame: bool = False, own_load: bool = True, sides_apart: bool = False,
                         unmodelled: bool = False, other_laws: bool = False) -> Unknowns:
     """Everything of the baseline that records of these quantities can depend on. `load_frame`:
-    records of a wire under held loads or between clamps are among them; `own_load`: so are some of
-    wires that move what `load.kind` names; `sides_apart`: front and back are two numbers even where
-    they are believed alike; `unmodelled`: of wires with a load, what the paper's model leaves out
-    of every one, believed in or not; `other_laws`: grains may follow other laws than the cosine."""
+    some are of a wire under held loads or between clamps; `own_load`: some are of wires that move
+    the load of `load.kind`; `sides_apart`: front and back are two numbers even if they are stated
+    alike; `unmodelled`: wires that move a load have all effects of `UNMODELLED`, stated or not;
+    `other_laws`: some grains may follow other laws than the cosine."""
 
     def of_table(names: Iterable[str]) -> dict[str, Sequence[float]]:
         return {name: (parameters.std(name), *range_of(name)) for name in names}
@@ -304,7 +304,7 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
 
 
 def is_stated(parameters: Parameters, name: str) -> bool:
-    """Whether a value other than 0 or an uncertainty of it is."""
+    """True if a value other than 0 or an uncertainty of it is stated."""
     return parameters[name] != 0.0 or parameters.given_uncertainty.get(name, 0.0) > 0.0
 
 
@@ -318,7 +318,7 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
     if parameters["wire.convection"] == "free" and h not in parameters.given:
         values[h] = _NOT_STILL * parameters[h]
         std[h] = _FREE_CONVECTION * values[h]
-    if parameters["wire.law"] == "normal" and END not in parameters.given:  # a fin
+    if parameters["wire.law"] == "normal" and END not in parameters.given:  # as a fin
         loss = 4.0 * values.get(h, parameters[h])
         values[END] = math.sqrt(_CONDUCTIVITY * parameters["wire.diameter"] / loss)
         std[END] = _END * values[END]
@@ -328,8 +328,8 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
 
 
 def stated_effects(parameters: Parameters) -> list[str]:
-    """Numbers of effects that somebody believes in, or of which he states what is unknown; and of
-    these effects those that have a value where nobody gives one, but how a record begins."""
+    """Numbers of effects with a stated value or uncertainty; and the others of these effects that
+    are not 0 by default, except for how a record begins (FRESH_START)."""
     stated = {p.name for p in EFFECT_TABLE
               if parameters[p.name] != p.default or p.name in parameters.given_uncertainty}
     on = [e for e in EFFECTS.values() if stated & {p.name for p in e.parameters}]
@@ -339,7 +339,7 @@ def stated_effects(parameters: Parameters) -> list[str]:
 
 def unknowns_of(parameters: Parameters, names: Sequence[str], *,
                 shapes: Shapes = SHAPES, sides_apart: bool = False) -> Unknowns:
-    """Unknowns from the values and the `uncertainty.` of a parameter set; 0 is exact, and none.
+    """Unknowns from the values and the `uncertainty.` of a parameter set; 0 is exact: no unknown.
     Bending coefficients that are derived from the geometry start there, with 30 % unless their
     uncertainty is given. All four transition temperatures or none are among the names."""
     derived = dict(zip(BENDING, bending_coefficients(parameters), strict=True))
@@ -358,24 +358,24 @@ def unknowns_of(parameters: Parameters, names: Sequence[str], *,
             std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
         low, high = range_of(name)
         if name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ()):
-            low = _ABOVE_NOTHING * mean
+            low = _LEAST_SHARE * mean
         log = name not in _STRAIGHT and low > 0.0
-        # A prior that is wider than the range is as wide as that.
+        # A prior is at most as wide as the range.
         widest = (mean * math.log(high / low) if log else high - low) / max(std, _SMALLEST)
         std, own = (min(1.0, widest) * one for one in (std, own))
         if std > 0.0:
             found[name] = Unknown(name, mean, std, low, high, log, (), partner, own)
-    # One stiffness, where both sides are believed to be equally stiff, and equally well known.
+    # One stiffness, if both sides are stated as equally stiff with equal uncertainties.
     front, back = found.get(FRONT), found.get(BACK)
     if not sides_apart and front and back and (front.mean, front.std) == (back.mean, back.std):
         found[FRONT] = replace(front, tied=(BACK,))
         del found[BACK]
     fixed = {n: v for n, v in derived.items() if n not in found and parameters[n] != v}
     base = parameters.replace(fixed)
-    # Shapes of the kinetics; what is believed is within the range.
+    # Shapes of the kinetics; their ranges contain the stated values.
     extra = []
     for name, (std, low, high) in shapes.items():
-        # Other laws are as smooth as they are, and one has inner loops by itself.
+        # The other laws need no smoothing, and normal has inner loops of its own.
         without = (*(SHAPES if base["wire.law"] == "normal" else SMOOTHER), *OTHER_LAWS)
         if base["wire.law"] != "cosine" and name in without:
             continue
@@ -403,7 +403,7 @@ def number_of_effect(number: Parameter) -> Unknown:
 
 
 def shares_of_factor(name: str, value: float, parameters: Parameters) -> dict[str, float]:
-    """Error of an effect's number by the factor that it enters the model with (`Effect.times`), one
-    standard deviation of that; by the factor's name, none for all other numbers."""
+    """Error of an effect's number from one standard deviation of the parameter that it is
+    multiplied with (`Effect.times`), by its name; empty for numbers without one."""
     factors = [_TIMES[name]] if name in _TIMES else []
     return {factor: -value * parameters.std(factor) / parameters[factor] for factor in factors}

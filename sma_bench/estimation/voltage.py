@@ -1,8 +1,8 @@
-"""A measured voltage in straight pieces: plateaus, ramps, jumps, and the energy that it stands for.
+"""A measured voltage in straight pieces: plateaus, ramps, jumps; and its energy.
 
-Heat goes with the mean square over cells of time, so that is exact; a jump happens somewhere
-between two samples, and a level that a converter holds between two of its steps is not known to the
-last bit: both are errors that a fit may move (nuisances.py)."""
+Heat depends on the mean square over a cell of time, which is computed exactly. A jump lies
+somewhere between two samples, and a level between two steps of the converter is not known exactly:
+a fit may move both (nuisances.py)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,22 +27,22 @@ from sma_bench.estimation.pieces import (
 )
 from sma_bench.records.record import Record
 
-SHORTEST_SEGMENT, FEWEST_SAMPLES = 0.5, 20
+SHORTEST_SEGMENT, FEWEST_SAMPLES = 0.5, 20  # s; of a voltage
 _AT_CORNER, _BENT = 2, 3.0  # samples that may lie on neither line; times the noise
+# Tolerance of a straight line: times the noise, in steps of the converter, in V.
 _TOLERANCE_STD, _TOLERANCE_STEPS, _SMALLEST_TOLERANCE = 8.0, 2.5, 1e-3
 _MOST_PIECES = 20_000
-# Of the largest voltage, where samples are so far apart [s] or nearer; less heats too little to be
-# misplaced, the longer a slow logger does not look the less.
+# Of the largest voltage: smallest jump whose moment matters, for samples this close [s] or closer.
 _SMALLEST_JUMP, _OFTEN_READ = 0.05, 0.1
-_RAMPS = 0.7  # of what changes
-_STRAIGHT, _EXACT = 1.3, 1e-5  # of the noise; of all volts, where there is none
+_RAMPS = 0.7  # of all changes: so many equal ones are a commanded ramp
+_STRAIGHT, _EXACT = 1.3, 1e-5  # times the noise, about a line; of the range, without noise
 _OFF = 5e-3  # V, below it a channel is off
-_NARROWEST = 1e-3
-_CLEAR_STEPS = 1.5  # of the converter: what is smaller may be its own
-_ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
-_WORTH = 0.5  # of the noise of a line's mean
-_SAME_DRIVE = 0.02  # of the largest voltage
-_ALIKE = 4.0  # converter's steps between the ends of two ramps
+_NARROWEST = 1e-3  # s that jumps of one event have in common
+_CLEAR_STEPS = 1.5  # of the converter: a smaller change of level may be its error
+_ONE_LEVEL = 0.5  # of the converter's step: nearer levels are the same
+_WORTH = 0.5  # of the error of a line's mean: smaller ones are ignored
+_SAME_DRIVE = 0.02  # of the largest voltage, between wires with the same voltage
+_ALIKE = 4.0  # steps of the converter between the ends of equal ramps
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class VoltageSegment:
     stop: float
     voltage_start: float  # V, of the line
     voltage_stop: float
-    # Of a plateau that of the step which led to it (of the first one: of that which left it).
+    # Of a plateau: of the step before it (of the first one: of the step after it).
     direction: Literal["up", "down"]
 
     @property
@@ -89,8 +89,8 @@ class Segments:
 
 
 def find_segments(time: Array, voltage: Array) -> Segments:
-    """Cut a voltage (n,) V, noisy or quantised, at increasing times (n,) s, whose gaps and jitter
-    do no harm, into straight pieces (Douglas and Peucker, 1973) and sort them. Raises InputError:
+    """Cut a voltage (n,) V, noisy or quantised, at increasing times (n,) s, with gaps and jitter or
+    not, into straight pieces (Douglas and Peucker, 1973) and sort them. Raises InputError:
     fewer than 20 samples, or values that are not finite."""
     if len(time) < FEWEST_SAMPLES:
         raise InputError(
@@ -101,7 +101,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     a, b, c = voltage[:-2], voltage[1:-1], voltage[2:]
     smooth = voltage.astype(np.float64)
     smooth[1:-1] = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
-    # A channel that is switched off may read exactly 0, which says nothing of its noise.
+    # A channel that is switched off may read exactly 0, which says nothing about its noise.
     second = np.diff(voltage, 2)
     driven = second[voltage[1:-1] != 0.0]
     second = driven if len(driven) else second
@@ -121,8 +121,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
                 pieces.pop()
                 piece = (first, last)
             pieces.append(piece)
-        # A ramp commanded in small steps falls into crumbs, as of many tiny plateaus: look more
-        # coarsely.
+        # A ramp commanded in small steps falls into crumbs, tiny plateaus: raise the tolerance.
         crumbs = longest = 0.0
         for first, last in pieces:
             length = float(time[last] - time[first])
@@ -132,7 +131,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
             break
         tolerance *= 2.0
 
-    # Plateaus, ramps and edges; a plateau's direction is that from the one before.
+    # Plateaus, ramps and edges; the direction of a plateau is that of the step before it.
     edges = tuple((float(time[first]), float(time[last])) for first, last in pieces
                   if last - first == 1 and abs(smooth[last] - smooth[first]) > tolerance)
     lines = [(float(time[first]), float(time[last]), *_line(time, smooth, first, last)[:2])
@@ -151,7 +150,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
 
 
 def _step_of(voltage: Array) -> float:
-    """The converter's step, V; none of a command that ramps, of which all steps are alike."""
+    """Step of the converter [V]; 0 for a commanded ramp, whose steps are all equal."""
     moves = np.diff(voltage)
     again = np.abs(np.diff(moves)) < _EXACT * float(np.ptp(voltage))
     going = moves[:-1] != 0.0
@@ -200,7 +199,7 @@ class Polygon:
     lines: tuple[tuple[int, int, float], ...]  # first and last knot, and noise [V] of the samples
     hidden: float  # V, amplitude of the converter's error that no averaging removes
     step: float  # V, of the converter
-    commanded: Array | None = None  # (k,) V at the knots, where the record has it
+    commanded: Array | None = None  # (k,) V at the knots, if recorded
 
     def energy(self, moments: Array, grid: Array, error: Array | None = None) -> Array:
         """Integral of V^2 [V2 s] over each cell of `grid` (n,), as (n - 1,), with jumps at these
@@ -209,7 +208,7 @@ class Polygon:
         volts = self.voltage if error is None else self.voltage + error
         order = np.repeat(at, 2)
         time = np.insert(self.time, order, np.repeat(moments, 2))
-        # A ramp runs on to the jump that ends it.
+        # A ramp continues up to the jump that ends it.
         rising, falling = self._slopes_at_jumps
         ends = np.column_stack([volts[at - 1] + rising * (moments - self.time[at - 1]),
                                 volts[at] + falling * (moments - self.time[at])])
@@ -218,7 +217,7 @@ class Polygon:
         time = np.concatenate([[before], time, [after]])
         level = np.concatenate([level[:1], level, level[-1:]])
         total = np.append(0.0, np.cumsum(_energy(level[:-1], level[1:], np.diff(time))))
-        # Up to each grid time: all stretches before, and a part of the one that it lies in.
+        # Up to each grid time: all stretches before it, and a part of its own.
         k = np.searchsorted(time, grid, side="right") - 1
         here = level[k] + (level[k + 1] - level[k]) * (grid - time[k]) / (time[k + 1] - time[k])
         return np.diff(total[k] + _energy(level[k], here, grid - time[k]))
@@ -245,13 +244,13 @@ class AppliedVoltage:
     late: Array
 
     def at(self, channel: int, time: Array) -> Array:
-        """(m,) V of a channel at `time` (m,) s, freed of noise."""
+        """(m,) V of a channel at `time` (m,) s, without noise."""
         polygon = self.channels[channel]
         return np.interp(time, polygon.time, polygon.voltage)
 
     def level_errors(self, own: bool = False) -> list[tuple[Array, ...]]:
-        """(k,) V a channel: one standard error of each held level that is not known to the last bit
-        in turn, of all held at it, by what all levels have in the mean, or by its own samples."""
+        """(k,) V a channel: one standard error of each held level in turn that averaging does not
+        remove, common to all stretches at it; the mean one of all levels, or by `own` samples."""
         held = []
         for channel, polygon in enumerate(self.channels):
             for first, last, noise in polygon.lines:
@@ -278,9 +277,9 @@ class AppliedVoltage:
 
     def line_errors(self) -> list[tuple[Array, ...]]:
         """(k,) V a channel: one standard error of the mean and of the slope of each straight
-        stretch in turn, from the noise of its samples; and what the converter hides of it."""
+        stretch in turn, from the noise of its samples; and errors by the converter."""
         errors: list[tuple[Array, ...]] = []
-        # Of all ramps alike: their ends in the converter's steps, and the errors.
+        # Equal ramps share their errors: their ends in steps of the converter, and the errors.
         alike: list[tuple[Array, dict[int, tuple[Array, ...]]]] = []
         for channel, polygon in enumerate(self.channels):
             step = polygon.step
@@ -348,7 +347,7 @@ def commands_of(record: Record, channels: tuple[str, ...],
 def applied_voltage(channels: Sequence[tuple[Array, Array]],
                     commands: tuple[Array, Array] | None = None) -> AppliedVoltage:
     """Prepare measured voltages: of each channel (time (n,) s, voltage (n,) V); `commands`: (c,) s
-    and (c, w) V that were commanded, held until the next, where known. Raises InputError: too few
+    and (c, w) V that were commanded, held until the next, if known. Raises InputError: too few
     samples, or values that are not finite."""
     polygons = []
     for k, (time, voltage) in enumerate(channels):
@@ -393,9 +392,8 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     for s in segments.items:
         begin, end = np.searchsorted(time, [s.start, s.stop + 1e-9]).tolist()
         spans[begin, end] = s
-    straight, curved = straight_and_curved(
-        time, voltage, [(*span, s.kind == "ramp") for span, s in spans.items()], step
-    )
+    pieces = [(*span, s.kind == "ramp") for span, s in spans.items()]
+    straight, curved = straight_and_curved(time, voltage, pieces, step)
     for begin, end in curved:
         coarse = step if robust < TOGGLES * step else 0.0
         smooth[begin:end] = smoothed(time[begin:end], voltage[begin:end], coarse)
@@ -425,8 +423,8 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
 
 
 def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
-    """With a knot where one straight stretch turns into the next, which may be between two samples
-    and is no jump. The lines are those without the samples next to it."""
+    """With a knot, maybe between two samples, where one straight stretch turns into the next
+    without a jump: where the lines meet that are fitted without the samples next to it."""
     time, smooth = polygon.time, polygon.voltage.copy()
     lines, corners = list(polygon.lines), dict[int, tuple[float, float]]()
     least = polygon.step + _EXACT * float(np.ptp(voltage))
@@ -440,7 +438,7 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
             continue
         at = float((fall[1] - rise[1]) / (rise[0] - fall[0])) if rise[0] != fall[0] else np.inf
         before = int(np.searchsorted(time, at)) - 1
-        # Noise displaces a corner, by as much as it hides that the lines differ there.
+        # Noise displaces a corner as far as it hides the difference of the two lines.
         far = (_BENT * max(left, right) + least) / max(abs(rise[0] - fall[0]), _EXACT)
         is_near = lines[k][0] < before < b_end - 2 and abs(at - time[b]) < far
         if not (is_near or a_end - _AT_CORNER <= before + 1 <= b + _AT_CORNER):
@@ -453,7 +451,7 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
     places = np.array(sorted(corners), dtype=np.intp)
     moments, levels = np.array([corners[p] for p in places.tolist()]).reshape(-1, 2).T
     held = polygon.commanded
-    within = np.zeros(len(polygon.jumps), dtype=bool)  # a line
+    within = np.zeros(len(polygon.jumps), dtype=bool)  # True: within a line
     for first, last, _ in lines:
         within |= (polygon.jumps >= first) & (polygon.jumps + 1 < last)
 
@@ -468,8 +466,8 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
 
 
 def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int]], Array]:
-    """First and last sample of the levels in a stretch, and their volts (n,): the stretch and its
-    line as they are, unless two levels are surely nearer to it."""
+    """Levels in a stretch: first sample and the one after the last, and volts (n,) of all. The
+    whole stretch and its line, unless two levels clearly fit better."""
     n = len(volts)
     count = np.arange(FEWEST_IN_LINE, n - FEWEST_IN_LINE + 1)
     if len(count) == 0:
@@ -493,7 +491,7 @@ def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int
 
 
 def _bend(left: Array, step: float) -> Array:
-    """(n,) V of the parabola in what a line leaves, 0 where it may be noise or the converter's."""
+    """(n,) V, parabola in the residual of a line; 0 if it may be noise or the converter's."""
     bow = np.square(np.linspace(-1.0, 1.0, len(left)))
     bow -= bow.mean()
     power = float(bow @ bow)
@@ -503,8 +501,8 @@ def _bend(left: Array, step: float) -> Array:
 
 
 def alike_by_side(volts: Array, sides: Sequence[str]) -> Array:
-    """Voltages (n, w), those of a side the same where they differ by a voltmeter's error only: one
-    wire then stands for all of its side."""
+    """Voltages (n, w), averaged over each side on which they differ only by a voltmeter's error:
+    one wire then stands for all of its side."""
     found = volts.copy()
     for side in set(sides):
         own = [k for k, one in enumerate(sides) if one == side]

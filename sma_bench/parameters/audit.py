@@ -1,4 +1,4 @@
-"""Do the numbers of a lab fit each other, and physics? The first suspect of any gap is here."""
+"""Checks a lab's numbers against each other and against physics: the first suspects of any gap."""
 
 import math
 from dataclasses import replace
@@ -22,8 +22,8 @@ _TEXTS: dict[str, dict[str, Any]] = read_declarations("audit.yaml")
 
 def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
     """Check a lab's numbers against each other and correlations: a "warning" where they clash (its
-    text says which and by how much), else "info". `papers_own`: whether findings on numbers all the
-    paper's stand one by one, or in one line. Warnings of these: PAPER_NOTES, 7 to 10 and 16."""
+    text says which and by how much), else "info". `papers_own`: list findings on the paper's own
+    numbers one by one, not in one line. Their warnings: PAPER_NOTES, 7 to 10 and 16."""
     found = [finding for check in (_wire, _thermal, _material, _drive_and_load)
              for finding in check(parameters)]
     if not papers_own:
@@ -43,7 +43,7 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
 
 def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str, float],
             **facts: Any) -> Finding:
-    """A warning where numbers clash, in the words of audit.yaml, with numbers and facts in them."""
+    """A finding with texts of audit.yaml: a warning with the text `clash`, or info without one."""
     texts = _TEXTS[subject]
     facts["wire"] = f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
     text = texts["text"] + (texts[clash] if clash else texts.get("passed", ": plausible"))
@@ -52,7 +52,7 @@ def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str,
 
 
 def _wire(p: Parameters) -> list[Finding]:
-    """Length of the wire by its mass and by its area, and its resistivity over either."""
+    """Length of the wire from its mass and from its area, and its resistivity with each."""
     by_mass = law.wire_length_from_mass(p)
     by_area = float(p["wire.surface_area"]) / (math.pi * p["wire.diameter"])
     ratio = by_area / by_mass
@@ -70,14 +70,14 @@ def _wire(p: Parameters) -> list[Finding]:
         over = f"over the {length:.3f} m of wire.{name}"
         fits = "fits" if low <= implied <= high else "does not fit"
         verdicts.append(f"{implied * 1e8:.0f} microohm cm {over} ({fits})")
-    said, facts = " and ".join(verdicts), {"ohm": ohm, "low": low * 1e8, "high": high * 1e8}
-    clash = "unlike" if "does not" in said else ""
-    return [lengths, _judged(p, "resistivity", clash, numbers, verdicts=said, **facts)]
+    text, facts = " and ".join(verdicts), {"ohm": ohm, "low": low * 1e8, "high": high * 1e8}
+    clash = "unlike" if "does not" in text else ""
+    return [lengths, _judged(p, "resistivity", clash, numbers, verdicts=text, **facts)]
 
 
 def _against(p: Parameters, subject: str, name: str, value: float, low: float, high: float,
              of_air: float = 1.0) -> Finding:
-    """A number against what is usual, off by `of_air` in still air; `factor`: how far beyond."""
+    """Compare a number with its usual range, widened by a factor `of_air` for still air."""
     ends = ("low", "high") if of_air == 1.0 else ("still_air_low", "still_air_high")
     clash, numbers = "", {name: value, **dict(zip(ends, (low, high), strict=True))}
     if not low / of_air <= value <= high * of_air:
@@ -93,10 +93,9 @@ def _thermal(p: Parameters) -> list[Finding]:
     h, ambient = p["wire.heat_transfer_coefficient"], p["environment.ambient_temperature"]
     warm, diameter = ambient + 15.0, p["wire.diameter"]
     hot = max(p["wire.austenite_finish_temperature"], warm + 1.0)
-    low, high = (
-        law.natural_convection(diameter, kelvin, ambient) + law.radiation(grey, kelvin, ambient)
-        for grey, kelvin in zip(WIRE_EMISSIVITY, (warm, hot), strict=True)
-    )
+    low, high = (law.natural_convection(diameter, kelvin, ambient)
+                 + law.radiation(grey, kelvin, ambient)
+                 for grey, kelvin in zip(WIRE_EMISSIVITY, (warm, hot), strict=True))
     heat, capacity = p["wire.specific_heat"], p["wire.mass"] * p["wire.specific_heat"]
     area = math.pi * diameter * law.wire_length_from_mass(p)
     slow, fast = capacity / (low * area), capacity / (high * area)
@@ -104,8 +103,7 @@ def _thermal(p: Parameters) -> list[Finding]:
         _against(p, "heat transfer", "heat_transfer_coefficient", h, low, high, CONVECTION_FACTOR),
         _against(p, "time constant", "time_constant", capacity / (h * p["wire.surface_area"]),
                  fast, slow, CONVECTION_FACTOR),
-        _against(p, "specific heat", "specific_heat", heat, *NITI_SPECIFIC_HEAT),
-    ]  # fmt: skip
+        _against(p, "specific heat", "specific_heat", heat, *NITI_SPECIFIC_HEAT)]
 
 
 def _material(p: Parameters) -> list[Finding]:
@@ -114,9 +112,9 @@ def _material(p: Parameters) -> list[Finding]:
     clashes = [f"{upper} lies {kelvin[upper] - kelvin[lower]:.2f} K above {lower}"
                for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
                if kelvin[upper] >= kelvin[lower]]
-    numbers, said = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
+    numbers, text = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
     clash = "overlap" if clashes else ""
-    order = _judged(p, "transition order", clash, numbers, clashes=said, **kelvin)
+    order = _judged(p, "transition order", clash, numbers, clashes=text, **kelvin)
     theta = p["wire.thermal_expansion_factor"]
     soft = NITI_EXPANSION[0] * p["wire.martensite_modulus"]
     stiff = NITI_EXPANSION[1] * p["wire.austenite_modulus"]
@@ -131,8 +129,8 @@ def _material(p: Parameters) -> list[Finding]:
         numbers["factor"] = size / soft
         clashes.append(f"{size / soft:.2f} times the smallest")
     facts = {"theta": theta / 1e6, "soft": soft / 1e6, "stiff": stiff / 1e6}
-    clash, said = "clash" if clashes else "", ", ".join(clashes)
-    return [order, _judged(p, "thermal expansion", clash, numbers, clashes=said, **facts)]
+    clash, text = "clash" if clashes else "", ", ".join(clashes)
+    return [order, _judged(p, "thermal expansion", clash, numbers, clashes=text, **facts)]
 
 
 def _drive_and_load(p: Parameters) -> list[Finding]:

@@ -20,7 +20,7 @@ _ROS_GROUPS = frozenset({"use_sim_time", "qos_overrides", "start_type_descriptio
 
 
 def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF_NODES) -> None:
-    """InputError for the first name of a source that is not the contract's, known, or ROS's own."""
+    """InputError for the first name that is neither of the contract, nor known, nor of ROS."""
     for name in names:
         contracts = name.removeprefix(UNCERTAINTY_PREFIX) in BY_NAME
         if not contracts and name not in known and name.split(".")[0] not in _ROS_GROUPS:
@@ -29,12 +29,11 @@ def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF
 
 def _pages() -> Any:
     """The template pages.md.j2."""
-    import jinja2  # which nodes do without
+    import jinja2  # not needed by nodes
 
     environment = jinja2.Environment(  # noqa: S701 (no HTML)
         loader=jinja2.FileSystemLoader(Path(__file__).parent), undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )
+        trim_blocks=True, lstrip_blocks=True)
     environment.filters["range"] = range_of
     return environment.get_template("pages.md.j2").module
 

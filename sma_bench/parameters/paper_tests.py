@@ -1,4 +1,4 @@
-"""What each test of the paper leaves open of the numbers that it measures."""
+"""How accurately each test of the paper measures its parameters."""
 
 from collections.abc import Mapping
 from itertools import chain
@@ -13,7 +13,7 @@ from sma_bench.parameters.parameters import Parameters
 
 class Test(NamedTuple):
     """Minutes of a test, and the standard deviations that it leaves, of temperatures in K, of all
-    others as a share. An effect that its `readings_hold` is read as the parameter's own."""
+    others as a share. `readings_hold`: an effect that is contained in the measured parameter."""
 
     minutes: float
     title: str
@@ -27,7 +27,7 @@ class Test(NamedTuple):
 
 
 TESTS = {name: Test(**row) for name, row in read_yaml(Path(__file__).with_suffix(".yaml")).items()}
-_ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
+_ROUNDING = 1.1  # for deviations that are rounded in a file, or values that changed since
 
 
 def least_stds(parameters: Parameters) -> dict[str, float]:

@@ -1,10 +1,10 @@
-"""One parameter of the bench, what it is called, what it may be, and where the number is from; and
-the declarations of effects, what the paper's model leaves out.
+"""Declarations of the bench's parameters (name, unit, default, range, source), and of effects,
+physics that the paper's model leaves out.
 
-An effect is one file, `physics/effects/<name>.py`, whose docstring is title, equation and source
-and below which stands the compiled equation, and one entry of effects.yaml: everything else that is
-to be known of it. The docstrings are read out of the files' text, without importing them: a
-parameter file is read without loading the compiler."""
+An effect is one file, `physics/effects/<name>.py`, with title, equation and source as docstring and
+the compiled equation below, and one entry of effects.yaml with everything else. Docstrings are read
+from the text of the files without importing them, so that reading a parameter file does not load
+the compiler."""
 
 import inspect
 import math
@@ -42,10 +42,10 @@ class Parameter:
     provenance: str  # paper table or equation, or "assumed: why"
     low: Any = None  # inclusive range of a number, in its unit; None of a text
     high: Any = None
-    # standard deviation, in its unit, of a value stated without one: as a careful lab knows it
+    # standard deviation, in its unit, of a value stated without one, as in a careful lab
     uncertainty: float | None = None
-    # of a value that nobody stated: how far such numbers lie apart between the wires and benches of
-    # the field, by spread_source; None: as uncertainty (a sensor's data sheet, an effect's number)
+    # standard deviation of a value that nobody stated: how much wires and benches differ in it, by
+    # spread_source; None: as uncertainty (a sensor's data sheet, an effect's number)
     spread: float | None = None
     spread_source: str = ""
     kind: Kind = "double"
@@ -99,14 +99,14 @@ def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]
         own = {"unit": "", **node}
         kind, default = _KINDS[own.pop("type")], own.pop("default_value")
         low, high = own.pop("validation", {}).get("bounds<>", (None, None))
-        unit, said, source = (own.pop(key) for key in ("unit", "description", "source"))
-        found.append(Parameter(prefix + name, unit, default, said, source, low, high, kind=kind,
+        unit, text, source = (own.pop(key) for key in ("unit", "description", "source"))
+        found.append(Parameter(prefix + name, unit, default, text, source, low, high, kind=kind,
                                **own))
     return tuple(found)
 
 
 class _Loader(yaml.CSafeLoader):
-    """Takes lists as tuples."""
+    """Reads lists as tuples."""
 
 
 _Loader.add_constructor("tag:yaml.org,2002:seq",
@@ -126,9 +126,9 @@ EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 LOAD_KINDS = ("clamped", "displacement", "force", "spring", "antagonist", "beam")
 LAWS = ("cosine", "exponential", "logistic", "normal", "brinson", "extended")
-# Drives that hold what is commanded, whatever the resistance, and their number in the core.
+# Drives that hold a current or power at any resistance, and their number in the core.
 SOURCES = {"current": 1.0, "power": 2.0}
-CHOICES = {  # of texts; "" is what `parameters.load_kind` finds by the channels
+CHOICES = {  # of text parameters; "" is chosen by `parameters.load_kind`
     "load.kind": ("", *LOAD_KINDS), "bench.drive": ("voltage", "duty", "current", "power"),
     "wire.law": LAWS, "wire.convection": ("constant", "free"),
 }
@@ -139,29 +139,29 @@ class Effect:
     """One departure from the paper's model, called as its file; off with every default."""
 
     stage: Stage
-    # its numbers, its size first; `effect.<name>.<number>`, of which its entry has the number alone
+    # its numbers, the size first: `effect.<name>.<number>`, in its entry without the prefix
     parameters: tuple[Parameter, ...]
     shows: str  # what an engineer sees at the bench
     acts_on: tuple[str, ...] = ("temperature", "deflection")  # signals, in the order of the chain
     loads: tuple[str, ...] = LOAD_KINDS  # under which a bench can have it
-    laws: tuple[str, ...] = LAWS  # of the phase, beside which
-    # columns of the core that are 1 where it is on: the step takes the longer way there
+    laws: tuple[str, ...] = LAWS  # of the phase, with which it can be on
+    # columns of the core that are 1 where it is on, so that a step computes more
     marks: tuple[str, ...] = ()
-    row: Literal["wire", "side"] = "wire"  # what its columns are of
-    # equations that it may have, each with the numbers that it takes; the first is the usual one
+    row: Literal["wire", "side"] = "wire"  # for which its columns are
+    # its possible equations, each with the numbers in it; the first is the usual one
     forms: Mapping[str, tuple[str, ...]] | None = None
-    # number to the column that holds it, where the core reads it as it is
+    # column of the core by number, if the core reads the number unchanged
     columns: Mapping[str, str] = field(default_factory=dict)
-    # Further columns of that row: what a bench is; what one step hands to the next, 0 at the start;
-    # what is noted within a step. A name that stands n times is the first of n columns.
+    # Further columns of that row: constant; handed from step to step, 0 at the start; used within
+    # a step. A name that is repeated n times is the first of n columns.
     constants: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
     scratch: tuple[str, ...] = ()
-    # parameters whose values depend on where the effect is counted from: what multiples of them
-    # would do as well is no part of what the effect does
+    # parameters whose values depend on the reference of the effect: what a change of them would do
+    # as well is not counted as an action of the effect
     beside: tuple[str, ...] = ()
-    # number to the parameter that it enters the model with, as a product: no record of the bench
-    # tells one from the other, so what is unknown of it is in the number's error
+    # by number, the parameter that multiplies it in the model: no record separates the two, so the
+    # parameter's uncertainty is part of the number's error
     times: Mapping[str, str] | None = None
     name: str = ""  # that of its file
     text: str = ""  # title, equation and source: the docstring of its file
@@ -183,7 +183,7 @@ class Effect:
         return tuple(map(self.named, self.forms[form or next(iter(self.forms))]))
 
     def is_on(self, parameters: Mapping[str, object]) -> bool:
-        """Whether these parameters switch it on."""
+        """True if these parameters switch it on."""
         return any(parameters[p.name] != 0.0 for p in self.switches)
 
     def named(self, number: str) -> Parameter:
@@ -224,7 +224,7 @@ EFFECT_TABLE: tuple[Parameter, ...] = tuple(p for e in EFFECTS.values() for p in
 
 TABLE: tuple[Parameter, ...] = (*declared(read_declarations("parameters.yaml")), *EFFECT_TABLE)
 BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}
-# Uncertainties of sensors whose scales are known, as those of a simulated bench are.
+# Uncertainties of sensors with exactly known scales, such as those of a simulated bench.
 EXACT_SENSORS = {p.name: 0.0 for p in TABLE if p.name.startswith("sensor.")
                  and not p.name.endswith(".lag")}
 TRANSITIONS = {

@@ -11,28 +11,28 @@ from sma_bench.parameters.parameter import BY_NAME, CHOICES, EFFECTS, TABLE, TRA
 
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
-# Of a branch of wire.law normal: its range in deviations, from 2.5 to 97.5 %.
+# standard deviations in the range of a branch with wire.law normal, from 2.5 to 97.5 %
 BRANCH = 3.92
-_WITHIN = 0.05  # of what is possible, that an unstated spread keeps from its ends
+_WITHIN = 0.05  # of the possible range: distance of an unstated spread from its ends
 GRAVITY = 9.81  # m/s2
 STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
-REFERENCE_EXCESS = 60.0  # K above ambient, of the coefficient that results name
+REFERENCE_EXCESS = 60.0  # K above ambient, for which results give the coefficient
 OXIDISED = 0.4  # emissivity of a drawn wire with its oxide
 _EXCESSES = (30.0, 120.0)  # K, between which the exponent of free convection is taken
-_LONGEST_LIST = 800  # characters of what stands for a set of parameters
+_LONGEST_LIST = 800  # characters of a repr
 _SPREAD = "wire.hysteresis_spread"
 _DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-# What must hold between numbers: the first below the second, what a load cannot be without above 0.
+# Pairs of which the first must lie below the second.
 ORDERED = ((TRANSITIONS["A_s"], TRANSITIONS["A_f"]), (TRANSITIONS["M_f"], TRANSITIONS["M_s"]))
-# Laws of which the load decides the strain: from which stress on, or how much without; how fast.
+# Laws whose strain of martensite depends on the load: where it begins, or without load; its rise.
 ORIENTING = {
     "brinson": ("wire.detwinning_start_stress", "wire.detwinning_stress_range"),
     "extended": ("wire.least_strain_share", "wire.orientation_stress"),
 }
 OF_NORMAL = ("wire.end_length", "wire.transition_skew")  # 0 with any other law
 SMOOTHER = ("wire.transition_spread", "wire.transition_tail")  # of the cosine law
-LOAD_NEEDS = {"spring": ("load.stiffness",)}
+LOAD_NEEDS = {"spring": ("load.stiffness",)}  # must be above 0
 
 
 def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
@@ -41,7 +41,7 @@ def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
 
 
 def load_kind(parameters: Mapping[str, Any]) -> str:
-    """`load.kind`, or what is meant where nothing is given: clamped for one channel, else beam."""
+    """`load.kind`, or if it is not given: clamped for one channel, else beam."""
     default = "clamped" if len(parameters["bench.channels"]) == 1 else "beam"
     return parameters["load.kind"] or default
 
@@ -61,14 +61,14 @@ def hysteresis(parameters: Mapping[str, Any]) -> tuple[float, float, float]:
 
 
 def possible_spread(parameters: Mapping[str, Any]) -> tuple[float, float]:
-    """Between which `wire.hysteresis_spread` can be: widths that vary less, or more, than the two
-    branches ask have no covariance with the grains' centres."""
+    """Lowest and highest possible `wire.hysteresis_spread`: beyond these no covariance between
+    widths and centres of the grains gives the two branches."""
     heating, cooling, mean = hysteresis(parameters)
     return abs(heating - cooling) / 2.0 / mean, (heating + cooling) / 2.0 / mean
 
 
 def nearest_spread(parameters: Mapping[str, Any], wanted: float) -> float:
-    """The possible spread of hysteresis widths nearest to what is wanted, a little within."""
+    """The possible spread of hysteresis widths nearest to the wanted one, not quite at an end."""
     low, high = possible_spread(parameters)
     keep = _WITHIN * (high - low)
     return max(min(max(wanted, low + keep), high - keep, BY_NAME[_SPREAD].high), 0.0)
@@ -76,12 +76,12 @@ def nearest_spread(parameters: Mapping[str, Any], wanted: float) -> float:
 
 class Parameters(Mapping[str, Value]):
     """Values of all contract parameters in SI units, each with a standard deviation. `given`: names
-    whose value or uncertainty someone stated; others are defaults, no knowledge of this bench."""
+    whose value or uncertainty someone stated; others are defaults, not knowledge of this bench."""
 
     def __init__(self, values: Mapping[str, Any] | None = None,
                  uncertainty: Mapping[str, float] | None = None, where: str = "") -> None:
         """Defaults of the table, overridden by `values` (names with `uncertainty.` among them) and
-        `uncertainty`. InputError, led by `where`: unknown name, wrong type, outside, at odds."""
+        `uncertainty`. InputError, led by `where`: unknown name, wrong type, out of range, clash."""
         self._values: dict[str, Value] = dict(_DEFAULTS)
         self._std: dict[str, float] = {}
         self.given: frozenset[str] = frozenset()
@@ -107,7 +107,7 @@ class Parameters(Mapping[str, Value]):
                 raise InputError(f"{lead}{full} is {value!r}, {expected}")
             self._std[name] = float(value)
         self.given |= given
-        # A default that nobody stated keeps its distance from what was stated beyond it.
+        # A default that contradicts a stated value moves to its usual distance from that.
         for lower, upper in ORDERED:
             if self[lower] >= self[upper] and not {lower, upper} <= self.given:
                 width = _DEFAULTS[upper] - _DEFAULTS[lower]
@@ -129,7 +129,7 @@ class Parameters(Mapping[str, Value]):
             raise InputError(lead + fault)
 
     def _faults(self) -> Iterator[str]:
-        """What does not fit together."""
+        """Contradictions between values, a line each."""
         for lower, upper in ORDERED:
             if self[lower] >= self[upper]:
                 yield f"{lower} {self[lower]:g} K must lie below {upper} {self[upper]:g} K"
@@ -162,14 +162,14 @@ class Parameters(Mapping[str, Value]):
         if used != wanted:
             wants = f"{kind}, expected {'front and back' if wanted == 2 else 'one side'}"
             yield f"bench.channel_sides: {list(sides)} with load.kind {wants}"
-        # Where a load can rub or stiffen: its ends move, and no wire hangs.
+        # Loads that can have friction or stiffen, both only without slack.
         for name, loads in (("load.friction", ("clamped", "force", "spring", "antagonist")),
                             ("load.stiffening", ("clamped", "spring"))):
             if self[name] != 0.0 and (kind not in loads or EFFECTS["slack"].is_on(self)):
                 against = "effect slack, expected one of them at 0"
                 against = against if kind in loads else f"load.kind {kind}, expected 0"
                 yield f"{name} is {self[name]:g} {BY_NAME[name].unit} with {against}"
-        if kind == "displacement":  # what is imposed neither drifts nor hangs
+        if kind == "displacement":  # an imposed elongation has neither drift nor slack
             yield from idle_effects(self).values()
 
     def _faults_of_law(self, law: str) -> Iterator[str]:
@@ -190,12 +190,12 @@ class Parameters(Mapping[str, Value]):
             if not low - 1e-9 <= spread <= high + 1e-9:
                 ranges = f"ranges of {heating * BRANCH:.4g} and {cooling * BRANCH:.4g} K"
                 wants = f"expected {low:.3g} to {high:.3g}: {ranges} about a hysteresis of {width}"
-                beyond = "leave no covariance of grains beyond that"
+                beyond = "cannot come from grains with another spread"
                 yield f"{_SPREAD} is {spread:.3g}, {wants} {beyond}"
 
     @classmethod
     def defaults(cls) -> "Parameters":
-        """The table as it stands, nothing of it stated."""
+        """The table's defaults, none of them stated."""
         return cls()
 
     @classmethod
@@ -238,14 +238,14 @@ class Parameters(Mapping[str, Value]):
     def replace(self, values: Mapping[str, Any] | None = None,
                 uncertainty: Mapping[str, float] | None = None, where: str = "") -> "Parameters":
         """A new set with some values and uncertainties replaced; raises as the constructor does."""
-        # What is here has been checked: a fit makes thousands of sets.
+        # Without checking the present values again: a fit makes thousands of sets.
         other = copy(self)
         other._values, other._std = dict(self._values), dict(self._std)
         other._put(values or {}, uncertainty or {}, where)
         return other
 
     def assuming(self, values: Mapping[str, Any], uncertainty: Mapping[str, float]) -> "Parameters":
-        """As `replace`, but they do not count as stated."""
+        """`replace`, but these do not count as stated."""
         other = self.replace(values, uncertainty)
         other.given = self.given
         return other
@@ -253,7 +253,7 @@ class Parameters(Mapping[str, Value]):
 
 NITI_DENSITY = 6450.0  # kg/m3
 NITI_EXPANSION = (6.6e-6, 11e-6)  # 1/K, martensite, austenite
-CONVECTION_FACTOR = 1.5  # that what correlations give of one wire may be off
+CONVECTION_FACTOR = 1.5  # by which a correlation may be off for one wire
 
 
 def wire_section(parameters: Mapping[str, Any]) -> float:
@@ -272,15 +272,15 @@ def wire_length_from_mass(parameters: Mapping[str, Any]) -> float:
 
 
 def as_recorded(parameters: Parameters) -> Parameters:
-    """The bench as its records show it: they hold the direct voltage of the same heat."""
+    """The bench as in its records, which hold the direct voltage, whatever the drive."""
     if parameters["bench.drive"] == "voltage":
         return parameters
     return parameters.replace({"bench.drive": "voltage"})
 
 
-# --- Heat that still air and radiation take from a thin wire, `wire.convection: free`: h(T) of
+# --- Heat loss of a thin wire to still air and by radiation, `wire.convection: free`: h(T) by
 # Churchill and Chu (1975) for its diameter, as a power of the excess over air, and grey radiation.
-# `wire.heat_transfer_coefficient` is what both give 60 K above ambient, theirs if it is not stated.
+# `wire.heat_transfer_coefficient` is their sum 60 K above ambient, computed unless it is stated.
 
 
 def natural_convection(diameter: float, surface: float, ambient: float) -> float:

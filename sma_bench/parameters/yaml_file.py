@@ -1,4 +1,4 @@
-"""ROS 2 parameter files, in and out."""
+"""Reads and writes ROS 2 parameter files."""
 
 import math
 import re
@@ -18,7 +18,7 @@ WILDCARD = "/**"
 
 
 def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str, Any]:
-    """Dotted names, raw values that a node (`/bench/simulator`; None: every) loads from a ROS file.
+    """Raw values by dotted name that a node (`/bench/simulator`; None: every) loads from a file.
     InputError: unreadable, not YAML, no section for it, or two that disagree."""
     document = read_yaml(path)
     if not isinstance(document, dict):
@@ -43,7 +43,7 @@ def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str,
 
 
 def _sections(document: Mapping[Any, Any], above: str, path: str | Path) -> Iterator[Any]:
-    """Every `ros__parameters` behind the name, or pattern, of the nodes that load it."""
+    """Each name or pattern of nodes with the `ros__parameters` that they load."""
     for key, value in document.items():
         name = f"{above}/{str(key).strip('/')}"
         if isinstance(value, dict) and isinstance(value.get("ros__parameters"), dict):
@@ -55,7 +55,7 @@ def _sections(document: Mapping[Any, Any], above: str, path: str | Path) -> Iter
 
 
 def _fits(key: str, node: str | None) -> bool:
-    """Whether a node loads a section, by ROS's rule for * and **."""
+    """True if a node loads a section, by ROS's rule for * and **."""
     if node is None:
         return key == WILDCARD
     wild = {"**": r"(/\w+)*", "*": r"/\w+"}
@@ -65,29 +65,29 @@ def _fits(key: str, node: str | None) -> bool:
 
 def read_parameters(path: str | Path) -> Parameters:
     """Contract parameters of a ROS parameter file with a `/**: ros__parameters:` section; absent
-    ones keep the table's default, groups that only nodes declare are passed over. Raises
+    ones keep the table's default, groups that only nodes declare are ignored. Raises
     InputError: unreadable file, unknown name, wrong type or value out of range, in one line."""
     named = read_parameter_names(path)
     stds = {name for name in named if name.startswith(UNCERTAINTY_PREFIX)}
     own = {name: value for name, value in named.items() if name in BY_NAME or name in stds}
     if others := named.keys() - own.keys():
-        from sma_bench.parameters.node_tables import refuse_unknown  # a tenth of a second
+        from sma_bench.parameters.node_tables import refuse_unknown  # takes 0.1 s
 
         refuse_unknown(others, str(path))
     return Parameters(stated_names(own), where=str(path))
 
 
 def stated_names(named: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What of dotted names someone stated: all, but of a node's dump what is no default."""
+    """The values that someone stated: all, but in a dump of a node only those off their default."""
     if not named.keys() >= BY_NAME.keys():
         return named
 
-    def is_left(p: Parameter) -> bool:
+    def is_default(p: Parameter) -> bool:
         std = named.get(UNCERTAINTY_PREFIX + p.name, p.default_std)
         return _plain(named[p.name]) == _plain(p.default) and std == p.default_std
 
-    left = {p.name for p in TABLE if is_left(p)}
-    return {n: v for n, v in named.items() if n.removeprefix(UNCERTAINTY_PREFIX) not in left}
+    defaults = {p.name for p in TABLE if is_default(p)}
+    return {n: v for n, v in named.items() if n.removeprefix(UNCERTAINTY_PREFIX) not in defaults}
 
 
 def write_parameters(path: str | Path, parameters: Parameters, comment: str = "",
@@ -96,11 +96,11 @@ def write_parameters(path: str | Path, parameters: Parameters, comment: str = ""
                      explain: bool = False) -> None:
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
-    The file appears whole or not at all. What nobody stated stands in it as a comment, but the
-    channels, without which no rig is one. `comment`: lines for the head of the file; `names`:
+    The file appears whole or not at all. Values that nobody stated are written as comments, except
+    the channels, which every rig needs. `comment`: lines for the head of the file; `names`:
     parameters to write, in any order, when None all but effects not stated; `sources`:
-    where values are from, by name: these and their standard deviations are rounded to what the
-    error deserves; `template`: a file whose comments a person wrote and that are kept; `explain`:
+    where values are from, by name: these and their standard deviations are rounded to the second
+    digit of the error; `template`: a file whose handwritten comments are kept; `explain`:
     each parameter's description above it. Raises InputError: the folder cannot be written."""
     given, stds, sources = parameters.given, parameters.given_uncertainty, sources or {}
     usual = (n for n in parameters if n in given or not n.startswith(EFFECT_PREFIX))
@@ -142,16 +142,16 @@ def _note(p: Parameter, source: str) -> str:
     return f"{_unit(p)} {p.low:g} to {p.high:g}; {source}" if number else source
 
 
-_UNSTATED = "Behind a # stands what nobody stated: uncomment, with its group, what you know."
+_UNSTATED = "Nobody stated the values behind a #: uncomment those that you know, with their group."
 _NOTES_OF_DEFAULTS = {_note(p, p.provenance) for p in TABLE}
 _GROUPS = {f"{p.name.split('.')[0]}:" for p in TABLE}
 _OWN_LINES = {_UNSTATED, *(p.description for p in TABLE), *_GROUPS}
 _KEY = re.compile(r"( *)([\w.]+|/\*\*):(?: |$)")
-_OWN = " | "  # between a person's comment and what is written beside it anew
+_OWN = " | "  # between a handwritten comment and the note of this module
 
 
 def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str]], dict[str, str]]:
-    """What a person wrote into a file, if there is one: at its head, above and next to values."""
+    """Handwritten comments of a file, if there is one: head; by name above and beside values."""
     head: list[str] = []
     above: dict[str, list[str]] = {}
     beside: dict[str, str] = {}
@@ -173,7 +173,7 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
             elif waiting:
                 above[name] = waiting
             waiting = []
-            # Beside a value: what is not this module's own note on it.
+            # Beside a value: a comment that is not this module's note.
             remark = re.search(r"\s#\s?(.*)", line[key.end() - 1 :].split('"')[-1].split("'")[-1])
             theirs = (remark[1] if remark else "").partition(_OWN)[0].strip()
             if p := BY_NAME.get(name.removeprefix(UNCERTAINTY_PREFIX)):
@@ -187,7 +187,7 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
 def _write(path: str | Path, named: Mapping[str, Any], comment: str, template: str | Path | None,
            notes: Mapping[str, str] | None = None, explained: Mapping[str, str] | None = None,
            unstated: AbstractSet[str] = frozenset()) -> None:
-    """One value a line, those of `unstated` behind a #; with what a person put in the template."""
+    """One value a line, `unstated` ones behind a #, with handwritten comments of the template."""
     head, above, beside = _comments_of(template)
     body: dict[str, Any] = {}
     for name, value in named.items():
@@ -229,7 +229,7 @@ def write_text_atomically(path: str | Path, text: str) -> None:
 
 
 def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mapping to dotted names, as ROS does it. Raises InputError: a name stands twice."""
+    """Nested mapping to dotted names, as ROS does it. Raises InputError: a name occurs twice."""
     flat: dict[str, Any] = {}
     for key, value in nested.items():
         name = f"{prefix}{key}"
