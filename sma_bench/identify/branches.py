@@ -26,9 +26,9 @@ _STEEP = (0.4, 0.3, 0.6)  # share of the material that transforms along the stee
 _SMALLEST_STEP = 12.0  # least range of strain, in standard deviations of its scatter
 _SHORTEST_LINE = 5  # points
 _SHORT = 0.10  # of the branch: an outer line over less is not a straight end
-_TOO_STEEP = 0.10  # of the largest slope: nor is a steeper line
-_LAG = 0.10  # of the branch: in it a specimen may still move the old way after a reversal
-_LAG_STRAIN = 0.05  # of the strain's range: least such motion that counts as lag
+_TOO_STEEP = 0.10  # of the largest slope: a steeper outer line is no straight end either
+_LAG = 0.10  # of the branch: after a reversal, strain may go on in the old direction so far
+_LAG_STRAIN = 0.05  # of the strain's range: it lags if it goes on by more than this
 _NARROWEST = 0.2  # K, least width of a cosine
 _MARGINS = (1.0, 0.5)  # widths beyond the cosine's ends: refits use the points up to there
 Number = tuple[float, float]  # value and standard error
@@ -120,10 +120,10 @@ def _outer_lines(t: Array, strain: Array, others: list[tuple[Array, Array]],
         x, y = sign * t[::sign], strain[::sign]
         line, is_short = _outer_line(x, y, straight)
         for other, other_strain in others if is_short else ():
-            beside, _ = _outer_line(sign * other[::sign], other_strain[::sign], straight)
-            if abs(beside.slope) < abs(line.slope):  # its slope, through the end of this branch
+            companion, _ = _outer_line(sign * other[::sign], other_strain[::sign], straight)
+            if abs(companion.slope) < abs(line.slope):  # its slope, through the end of this branch
                 x, y = x[:_SHORTEST_LINE], y[:_SHORTEST_LINE]
-                line = replace(beside, at=float(x.mean()), value=float(y.mean()),
+                line = replace(companion, at=float(x.mean()), value=float(y.mean()),
                                value_variance=float(y.var()) / _SHORTEST_LINE)
         found.append((replace(line, at=sign * line.at, slope=sign * line.slope), is_short))
     return found
@@ -134,7 +134,7 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
     # With few points, second differences show curvature, not scatter: hence the upper limit.
     span = float(np.ptp(strain))
     tolerance = max(straight * span, min(3.0 * scatter(strain), 2.0 * straight * span))
-    # First point to use: after a reversal, a lagging specimen moves the old way for a while.
+    # First point to use: skip what goes on in the old direction after a reversal.
     near = np.flatnonzero(t <= t[0] + _LAG * (t[-1] - t[0]))
     middle = 0.5 * (strain[0] + strain[-1])
     furthest = int(np.argmax(np.abs(strain[near] - middle)))
@@ -143,10 +143,10 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
     t, strain = t[first:], strain[first:]
     longest = _SHORTEST_LINE
     for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
-        left = strain[:count] - straight_line(t[:count], strain[:count])(t[:count])
-        # When the last points all lie on one side, the line bends: the largest residual is later.
-        run = abs(float(np.mean(left[-max(count // 5, 3) :])))
-        if run < 0.5 * tolerance and np.max(np.abs(left)) < 2.0 * tolerance:
+        residual = strain[:count] - straight_line(t[:count], strain[:count])(t[:count])
+        # A run of points on one side shows curvature long before the largest residual does.
+        run = abs(float(np.mean(residual[-max(count // 5, 3) :])))
+        if run < 0.5 * tolerance and np.max(np.abs(residual)) < 2.0 * tolerance:
             longest = count
         elif count > 3 * longest:
             break
@@ -210,14 +210,14 @@ class BranchCosine(NamedTuple):
 
 def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
                stress: float) -> BranchCosine:
-    """Least-squares fit to one branch from the tangents, whose slope is kept at an end that is not
-    straight. Errors include correlated scatter, the choice of points, the moduli's errors and gaps
-    in the log. `stress`: Pa; 0 where strain has no unit."""
+    """Least-squares fit to one branch, from the tangents; at an end that is not straight, their
+    slope is kept. Errors include correlated scatter, the choice of points, the moduli's errors and
+    gaps in the log. `stress`: Pa; 0 where strain has no unit."""
     bins = Bins.of(branch.temperature)
     t, begin = bins.mean(branch.temperature), np.sort(tangents.cosine_ends())
     outer = zip((tangents.cold, tangents.hot), tangents.short, strict=True)
     given = [line.slope if short else None for line, short in outer]
-    ends, variance, slopes, step, model, left = _fit(branch, bins, begin, given, parameters, stress)
+    ends, variance, slopes, step, model, rest = _fit(branch, bins, begin, given, parameters, stress)
     # Refit to other choices of points, with the lines kept; and without the term of eq. (7).
     windows = [ends + m * float(np.ptp(ends)) * np.array([-1.0, 1.0]) for m in _MARGINS]
     others = [_fit(branch, bins, ends, slopes, parameters, stress, window) for window in windows]
@@ -229,7 +229,7 @@ def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
     std = np.sqrt(variance + np.var(tried, axis=0) + (of_moduli * (ends - plain)) ** 2 + gaps**2)
     low, high = zip(ends.tolist(), std.tolist(), strict=True)
     start, finish = (low, high) if branch.direction == "heating" else (high, low)
-    rms = float(np.sqrt(np.mean(left**2))) / max(abs(step[0]), 1e-12)
+    rms = float(np.sqrt(np.mean(rest**2))) / max(abs(step[0]), 1e-12)
     whole = (step[0], math.hypot(step[1], float(np.std(steps))))
     return BranchCosine(start, finish, whole, rms, t, model)
 
@@ -264,9 +264,9 @@ def _fit(branch: Branch, bins: Bins,
 
     def eliminated(x: Array) -> tuple[Array, Array]:
         known, columns = parts(x)
-        left = strain - known
-        weights = np.asarray(np.linalg.lstsq(columns[inside], left[inside], rcond=None)[0])
-        return left - columns @ weights, weights
+        unexplained = strain - known
+        weights = np.asarray(np.linalg.lstsq(columns[inside], unexplained[inside], rcond=None)[0])
+        return unexplained - columns @ weights, weights
 
     first = np.array([begin[0], max(float(begin[1] - begin[0]), 2.0 * _NARROWEST)])
     bounds = ([t[0] - span, _NARROWEST], [t[-1] + span, 3.0 * span])
@@ -278,13 +278,13 @@ def _fit(branch: Branch, bins: Bins,
     # Each point with its own scatter (larger where strain is steep), all with one autocorrelation.
     moved = [parts(x + step * unit) for unit in np.eye(2)]
     moves = [(own + free @ weights - model) / step for own, free in moved]
-    design, left = np.column_stack([*moves, columns])[inside], residual[inside]
+    design, used = np.column_stack([*moves, columns])[inside], residual[inside]
     (n, count), size = design.shape, np.sqrt(np.sum(design**2, axis=0))
     size = np.where(size > 0.0, size, 1.0)
     scaled = design / size
     bread = np.linalg.pinv(scaled.T @ scaled)
-    correlated = inflation(autocorrelation([left])) * n / max(n - count, 1)
-    rows = scaled * left[:, None]
+    correlated = inflation(autocorrelation([used])) * n / max(n - count, 1)
+    rows = scaled * used[:, None]
     covariance = bread @ (rows.T @ rows) @ bread * correlated / np.outer(size, size)
     # The step: distance of the lines in the middle, to which slopes that are kept contribute.
     to_ends = np.array([[1.0, 0.0], [1.0, 1.0]])

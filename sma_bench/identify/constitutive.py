@@ -86,7 +86,7 @@ def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
 
 class LawFit(NamedTuple):
     """The fitted law: unknowns (p,) in K, strain, 1e-6/K, MPa/K (Theta_T), per 100 MPa (slopes,
-    k); `fixed`: numbers that the data do not determine; `left`: residuals (n,) of each loop."""
+    k); `fixed`: numbers that the data do not determine; `residuals`: (n,) of each loop."""
 
     law: Law
     names: tuple[str, ...]
@@ -95,14 +95,14 @@ class LawFit(NamedTuple):
     at_bound: tuple[str, ...]
     fixed: dict[str, float]
     loops: tuple[Loop, ...]
-    left: tuple[Array, ...]
+    residuals: tuple[Array, ...]
 
     @property
     def errors(self) -> dict[float, float]:
         """Rms residual over the recovered strain of the loops at each stress [Pa]."""
         each: dict[float, list[float]] = {}
-        for loop, left in zip(self.loops, self.left, strict=True):  # in order of stress
-            each.setdefault(loop.stress, []).append(float(np.mean(left**2)) / loop.recovered**2)
+        for loop, own in zip(self.loops, self.residuals, strict=True):  # in order of stress
+            each.setdefault(loop.stress, []).append(float(np.mean(own**2)) / loop.recovered**2)
         return {stress: float(np.sqrt(np.mean(squares))) for stress, squares in each.items()}
 
 
@@ -125,7 +125,7 @@ def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
     findings = [*(f for record in records for f in record.findings), *_about_fits(fits)]
     details = {}
     for fit in fits:
-        n, std = sum(map(len, fit.left)), np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+        n, std = sum(map(len, fit.residuals)), np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
         for name, value, error in zip(fit.names, fit.values.tolist(), std.tolist(), strict=True):
             unit = _UNITS.get(name, "K/(100 MPa)")  # of a slope
             details[f"{fit.law}: {name}"] = Estimate(value, error, unit, "joint fit", n)
@@ -135,9 +135,9 @@ def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
                 error, error / math.sqrt(2.0 * n), "1", "rms over recovered strain", n)
     estimates, correlation = _estimates(chosen, parameters, findings)
     curves: dict[str, Array] = {}
-    for loop, left in zip(loops, chosen.left, strict=True):
+    for loop, own in zip(loops, chosen.residuals, strict=True):
         shown = {"temperature": loop.temperature, "strain": loop.strain,
-                 "model": loop.strain - left}
+                 "model": loop.strain - own}
         curves |= {f"{loop.label}/{kind}": values for kind, values in shown.items()}
     return Experiment("E9", "Joint fit of the constitutive law (eqs. 6 to 11)", estimates,
                       tuple(findings), curves, "; ".join(str(record.path) for record in records),
@@ -168,10 +168,10 @@ def _strain(law: Law, p: Mapping[str, float], loop: Loop,
         bend = p.get(f"bend_{ends[0][0]}", 0.0) * s**2
         low, high = (p[e] + p[n] * s + bend for e, n in zip(ends, _slopes(law, ends), strict=True))
         width = max(high - low, _NARROWEST)
-        left = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - low) / width, 0.0, 1.0))
-        if not rising:  # eq. (11) gives martensite; the phase that is left on cooling is austenite
-            left = 1.0 - left
-        share = left / left[0] if left[0] > 1e-9 else left
+        remaining = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - low) / width, 0.0, 1.0))
+        if not rising:  # eq. (11) gives martensite; what remains on cooling is austenite
+            remaining = 1.0 - remaining
+        share = remaining / remaining[0] if remaining[0] > 1e-9 else remaining
         xi = xi_reversed * share if rising else 1.0 - (1.0 - xi_reversed) * share
         xi_reversed = float(xi[-1])
         modulus = stiff + xi * (soft - stiff)
@@ -205,15 +205,15 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
     soft, stiff = (parameters[name] for name in MODULI)
     ambient = parameters["environment.ambient_temperature"]
 
-    def left_of(x: Array, loop: Loop, moduli: tuple[float, float] = (stiff, soft)) -> Array:
+    def residual_of(x: Array, loop: Loop, moduli: tuple[float, float] = (stiff, soft)) -> Array:
         p = fixed | dict(zip(names, x.tolist(), strict=True))
         strain, columns = _strain(law, p, loop, (*moduli, ambient))
         columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
-        left = loop.strain - strain
-        return np.asarray(left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0])
+        rest = loop.strain - strain
+        return np.asarray(rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0])
 
     def residuals(x: Array, moduli: tuple[float, float] = (stiff, soft)) -> Array:
-        return np.concatenate([left_of(x, loop, moduli) / loop.recovered for loop in loops])
+        return np.concatenate([residual_of(x, loop, moduli) / loop.recovered for loop in loops])
 
     rng = np.random.default_rng(_SEED)
     margin, solutions = 1e-6 * (high - low), []
@@ -223,7 +223,7 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
         solutions.append(least_squares(residuals, np.clip(start, low + margin, high - margin),
                                        bounds=(low, high), x_scale=size, max_nfev=300))
     x = min(solutions, key=lambda s: s.cost).x
-    left = tuple(left_of(x, loop) for loop in loops)
+    found = tuple(residual_of(x, loop) for loop in loops)
     # Sandwich covariance: each loop with its own scatter, all with one autocorrelation.
     sides = [(np.minimum(x + step, high), np.maximum(x - step, low))
              for step in np.diag(1e-3 * size)]
@@ -231,12 +231,12 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
                                 for i, (up, down) in enumerate(sides)])
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     pieces, freedom = list[Array](), total / (total - len(names) - 2 * len(loops))
-    for loop, own in zip(loops, left, strict=True):
+    for loop, own in zip(loops, found, strict=True):
         ends = np.cumsum([int(bins.which.max()) + 1 for _, bins in loop.branches])[:-1]
         pieces.extend(np.split(own / loop.recovered, ends))
     correlated, meat = inflation(autocorrelation(pieces)), np.zeros_like(bread)
-    begins = np.cumsum([len(own) for own in left])[:-1]
-    for loop, own, rows in zip(loops, left, np.split(jacobian, begins), strict=True):
+    begins = np.cumsum([len(own) for own in found])[:-1]
+    for loop, own, rows in zip(loops, found, np.split(jacobian, begins), strict=True):
         meat += correlated * freedom * np.mean(own**2) / loop.recovered**2 * (rows.T @ rows)
     covariance = bread @ meat @ bread
     # Contribution of the uncertainty of E_A and E_M.
@@ -246,7 +246,7 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
         covariance += np.outer(slope, slope) * parameters.std(name) ** 2
     near = np.minimum(x - low, high - x) < _AT_BOUND * (high - low)
     at_bound = tuple(name for name, is_near in zip(names, near, strict=True) if is_near)
-    return LawFit(law, names, x, covariance, at_bound, fixed, tuple(loops), left)
+    return LawFit(law, names, x, covariance, at_bound, fixed, tuple(loops), found)
 
 
 def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
@@ -329,7 +329,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
     covariance = turn @ fit.covariance @ turn.T
     error = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
 
-    n, method = sum(map(len, fit.left)), f"joint fit of {len(fit.loops)} loops, {fit.law} law"
+    n, method = sum(map(len, fit.residuals)), f"joint fit of {len(fit.loops)} loops, {fit.law} law"
     found: dict[str, Estimate] = {}
     for ends in _ENDS.values():
         label, shift_std, where = f"C_{ends[0][0]}", 0.0, ""

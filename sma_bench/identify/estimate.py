@@ -76,7 +76,7 @@ def scatter(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line y = value + slope (x - at), whose variances are independent at `at`."""
+    """Straight line y = value + slope (x - at); errors of value and slope are independent."""
 
     at: float
     value: float
@@ -102,8 +102,8 @@ def straight_line(x: Array, y: Array) -> Line:
     centred = x - x.mean()
     power = float(centred @ centred)
     slope = float(centred @ y) / power
-    left = y - y.mean() - slope * centred
-    variance = float(left @ left) / max(len(x) - 2, 1)
+    residual = y - y.mean() - slope * centred
+    variance = float(residual @ residual) / max(len(x) - 2, 1)
     return Line(float(x.mean()), float(y.mean()), slope, variance / len(x), variance / power)
 
 
@@ -133,10 +133,10 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
         beta, *_ = np.linalg.lstsq(whitened, target, rcond=None)
     except np.linalg.LinAlgError:
         raise InputError("no straight line fits: readings too large or small") from None
-    left = target - whitened @ beta
+    residual = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)
     return LinearFit(np.asarray(beta), np.linalg.pinv(whitened.T @ whitened),
-                     float(left @ left) / freedom, values - design @ beta)
+                     float(residual @ residual) / freedom, values - design @ beta)
 
 
 def fit_slope(columns: Sequence[Array | Mask], values: Array, covariance: Callable[[float], Array],

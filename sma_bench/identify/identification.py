@@ -53,11 +53,11 @@ EXPERIMENTS = tuple(NEEDS)
 _WHOLE_MODEL = 0.9  # of the progress
 _LEAST_DRIVE = 0.05  # V, least range of a voltage that can identify anything
 _SMALL = 0.01  # of a mean: repeats that differ by less are not reported
-# Signals that experiments on bags read (E1 to E3 predict the second); results computed with others.
+# Signals that an experiment on bags reads; E1 to E3 predict the second.
 _READS = {"E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
           "E3": ("voltage", "temperature"), "E8": ("temperature", "force")}
 _R, _H, _C_P = signals.RESISTANCE, signals.COEFFICIENT, signals.SPECIFIC_HEAT
-_COMPUTED_WITH = {_R: (_H, _C_P), _H: (_C_P,)}
+_COMPUTED_WITH = {_R: (_H, _C_P), _H: (_C_P,)}  # results that depend on each
 
 
 def identify(records: Sequence[AnyRecord], parameters: Parameters,
@@ -81,7 +81,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
-    imposed = ["elongation"] if load_kind(known) == "displacement" else []  # no wire's response
+    imposed = ["elongation"] if load_kind(known) == "displacement" else []  # an input
     for k, record in enumerate(bags):
         run.notes.extend(record.findings)
         checked = [f for f in check_record(record) if f.subject not in imposed]
@@ -213,7 +213,7 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
                                     high=high))
 
     def warm() -> Estimate:
-        """R by which the voltage before the leads heats a wire."""
+        """Effective R: V^2/P with the voltage before the leads and the heat of a wire."""
         return staircases.heated(run.known(_R), run.given, _R in run.estimates)
 
     for record, drive in serving("E1", "current"):
@@ -262,7 +262,7 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
     for record in still:
         if load_kind(run.given) != "displacement" and find_pulls(record):  # else E9's input
             tensile += tensile_tests(record, run.improved())
-        # Loops under loads held by a frame go to E6 only if asked for: E9 makes more of them.
+        # Load-frame loops under held loads go to E6 only if asked for: E9 gets more from them.
         alone = run.asked and "E6" in run.wanted and "E9" not in run.wanted
         if alone and signals.holds_frame(record, run.given) and not is_clamped(record):
             try:
@@ -338,10 +338,10 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
         # Again with the noise of these residuals: with guessed noise, zeros would follow a misfit.
         fitted = fit(first.problem, known, still, rounds=1, keep_noise=True)
         for block in fitted.problem.blocks:
-            signal, left = block.signal, fitted.left[block.rows]
+            signal, residual = block.signal, fitted.left[block.rows]
             # A bin's mean removes most of its samples' white noise: add it back.
             count, hidden = signal.usual_count, signal.noise**2 * (signal.usual_count - 1.0)
-            rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
+            rms = float(np.sqrt(np.average(residual**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
             yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
     # Strain of isobaric loops against the model of E6 or E9.

@@ -74,8 +74,8 @@ def identify_isobaric(records: Sequence[IsobaricRecord], parameters: Parameters)
     findings = [finding for record in records for finding in record.findings]
     readings: list[Reading] = []
     for record in records:
-        believable = record.strain_unit == "1" and record.stress <= instruments.STRONGEST
-        stress = record.stress if believable else 0.0
+        plausible = record.strain_unit == "1" and record.stress <= instruments.STRONGEST
+        stress = record.stress if plausible else 0.0
         for cycle, branch in ((c, b) for c in record.cycles for b in c.branches):
             other = cycle.get("cooling" if branch.direction == "heating" else "heating")
             try:
@@ -173,8 +173,8 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
     """Stress-free temperatures, C_A and C_M; the slope of each temperature alone; A_s ... M_f over
     stress, (4, n): Pa, K, error in K, and its part that start and finish have in common."""
     estimates, details, points = dict[str, Estimate](), dict[str, Estimate](), dict[str, Array]()
-    believable = levels[-1][0] <= instruments.STRONGEST
-    if not believable:
+    plausible = levels[-1][0] <= instruments.STRONGEST
+    if not plausible:
         findings.append(remark("implausible stress", stress=levels[-1][0]))
     for direction, (start, finish, label) in PHASES.items():
         pair, influence = (start, finish), SYMBOLS[label]
@@ -188,7 +188,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             each = [(stress, *mean_of_repeats(c, between, freedom)) for stress, c in repeats]
             stress, value, own, common = np.array(each, dtype=np.float64).reshape(-1, 4).T
             points[name] = np.array([stress, value, np.hypot(own, common), common])
-        if not believable:
+        if not plausible:
             continue
         if not shown:
             listed = f"{start}, {finish}, {label}"
@@ -197,17 +197,17 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
         n, stress = sum(_points(own) for _, own in shown), points[start][0]
         if float(np.ptp(stress)) < SMALLEST_STRESS_RANGE:
             # One stress: referred to zero with the given C.
-            c, doubt, held = parameters[influence], parameters.std(influence), float(stress.mean())
+            c, c_std, held = parameters[influence], parameters.std(influence), float(stress.mean())
             unstated = " (not stated)" * (influence not in parameters.given)
             findings.append(remark("one stress", subject=label, stress=held,
-                                   shift=held / c, c=c, doubt=doubt, unstated=unstated))
+                                   shift=held / c, c=c, c_std=c_std, unstated=unstated))
             method = f"cosine at {held / 1e6:.3g} MPa, referred to zero stress with {label}"
             for name in pair:
                 _, kelvin, std, _ = points[name].mean(axis=1).tolist()
                 number = Estimate(kelvin - held / c, std, "K", method, n)
-                estimates[SYMBOLS[name]] = number.with_shares({influence: held * doubt / c**2})
+                estimates[SYMBOLS[name]] = number.with_shares({influence: held * c_std / c**2})
             continue
-        # Several: T = T_0 + sigma/C, one slope for start and finish; cycles shift both.
+        # Several: T = T_0 + sigma/C, one slope for both; their scatter is partly common.
         both = np.hstack([points[name] for name in pair])
         value, std, common = both[1], np.maximum(both[2], _SMALLEST_STD), both[3]
         scale = float(np.max(np.abs(stress)))
@@ -275,7 +275,7 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
         details[f"eps_L at {held / 1e6:.0f} MPa"] = transformed[-1][1]
     if not transformed:
         return {}
-    # Does one eps_L describe all stresses? Their errors from the moduli have one cause.
+    # Does one eps_L describe all stresses? The moduli's error is common: its difference counts.
     (_, least), (high, most) = transformed[0], transformed[-1]
     moduli = most.shares[_ELASTIC] - least.shares[_ELASTIC]
     error = math.hypot(most.statistical, least.statistical, moduli)

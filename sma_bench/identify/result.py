@@ -114,8 +114,8 @@ class Identification(Carded, Reported):
 
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
         """Readings that the voltages of a record would give, by signal: the mean over the wire's
-        laws, and limits around a share `probability` of them. InputError: no moving load was
-        identified, `record` lacks a voltage or motion, `probability` is not in 0 to 1."""
+        laws, and limits that contain a share `probability` of them. InputError: no moving load
+        was identified, `record` lacks a voltage or motion, `probability` is not in 0 to 1."""
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
             raise refusal("nothing to predict from")

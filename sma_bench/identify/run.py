@@ -25,9 +25,9 @@ _ORDER = tuple((TRANSITIONS[lower], TRANSITIONS[upper])
                for lower, upper in (("A_s", "A_f"), ("M_f", "M_s"), ("M_s", "A_f"), ("M_f", "A_s")))
 _NARROWEST = 0.2  # K between two transition temperatures
 _PASSES = 100  # over all pairs, as moving one pair apart may bring another together
-_WRONG = 1.5  # factor of h or c_p from the stated value; a half-filled camera spot shows only there
+_WRONG = 1.5  # ratio of h or c_p to its stated value that points to the camera (a half-filled spot)
 _RESULT_WITH = {"wire.mass": SPECIFIC_HEAT, "wire.surface_area": COEFFICIENT,
-           "wire.diameter": "Theta_T, C_A, C_M"}
+           "wire.diameter": "Theta_T, C_A, C_M"}  # results computed with each
 _DENSITY_STD, _LENGTH_STD = 0.01, 0.005  # relative
 _KNOWN = 0.1  # relative error of a factor up to which records can split a product
 _ROUNDED = 1.06  # files round errors to two digits: up to this ratio, errors may be the same
@@ -61,7 +61,7 @@ class IdentificationRun:
         return self.experiments[-1]
 
     def fail(self, name: str, reason: str, meant: bool = True) -> None:
-        """Note why a record does not serve an experiment; `meant`: though it was made for it."""
+        """Note why a record does not serve an experiment; `meant`: it was made for it."""
         self.reasons.setdefault(name, []).append(reason)
         self.failed |= {name} if meant else set()
 
@@ -82,7 +82,7 @@ class IdentificationRun:
         for parameter in dict.fromkeys(p for e in found for p in e.estimates):
             own = combine([e.estimates[parameter] for e in found if parameter in e.estimates])
             if other := self.estimates.get(parameter):
-                # Later is nearer to what the model uses: calorimeter, loaded wire, joint fit.
+                # The later one is closer to the model: calorimeter, loaded wire, joint fit.
                 apart = (own.value - other.value) / math.hypot(own.std, other.std)
                 cause = "taken instead" if abs(apart) <= SIGNIFICANT else "taken, but far"
                 self.notes.append(remark(cause, subject=parameter, own=own, name=name,
@@ -125,7 +125,7 @@ class IdentificationRun:
             with suppress(InputError):  # else one by one, to name those out of range
                 return found.replace(model | values, std, "identified")
             found = found.replace(model)
-        # A temperature may only fit once another has been updated: repeat, if only one a pass.
+        # A_s may fit only once A_f has been updated: repeat, in case one fits per pass.
         for _ in self.estimates:
             for name, e in list(waiting.items()):
                 try:

@@ -60,8 +60,8 @@ class Staircase:
             time = samples(record, f"{self.channel}.{quantity}")[0]
             count = np.diff(np.searchsorted(time, self.windows))[:, 0]
             kept &= (count >= _FEWEST_SAMPLES) & (count >= 0.5 * np.median(count))
-        left = tuple(p for p, keep in zip(self.plateaus, kept, strict=True) if keep)
-        found = replace(self, plateaus=left)
+        complete = tuple(p for p, keep in zip(self.plateaus, kept, strict=True) if keep)
+        found = replace(self, plateaus=complete)
         return found if found.is_one else self
 
     def means(self, record: Record, quantity: str) -> "Means":
@@ -177,7 +177,7 @@ class Means(NamedTuple):
 
 def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
     """Mean of a signal (n,) over time (n,) s in windows (p, 2) s; InputError: too few samples."""
-    lines, left, drift = [], [], []
+    lines, residuals, drift = [], [], []
     for start, stop in bounds:
         inside = slice(np.searchsorted(time, start), np.searchsorted(time, stop, side="right"))
         t, v = time[inside], values[inside]
@@ -185,10 +185,10 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
             raise refusal("few to average", what=what, count=len(v), start=start, stop=stop,
                           least=_FEWEST_SAMPLES)
         lines.append(straight_line(t, v))
-        left.append(v - lines[-1](t))
+        residuals.append(v - lines[-1](t))
         drift.append(lines[-1].slope * float(np.ptp(t)))
-    n = np.array([len(v) for v in left], dtype=np.float64)
-    correlated = noise_model.inflation(noise_model.autocorrelation(left))
+    n = np.array([len(v) for v in residuals], dtype=np.float64)
+    correlated = noise_model.inflation(noise_model.autocorrelation(residuals))
     variance = n * np.array([line.value_variance for line in lines])
     pooled = float(np.sum(variance * n) / np.sum(n))
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)

@@ -29,7 +29,7 @@ from sma_bench.records.record import Signal, first_order_lag, samples
 
 _BEFORE, _AFTER, _HISTORY = 3.0, 12.0, 10.0  # s before and after a ramp; before the first window
 _FEWEST_SAMPLES = 30  # of a window
-_CLEARLY = 3.0  # noise floors below A_s, where hot ramps are cut: so that noise does not decide
+_CLEARLY = 3.0  # noise floors below A_s: hot ramps are cut there, as noise must not decide where
 _SMALLEST_RISE = 10.0  # times the noise
 _AMBIENT_STD = 2.0  # K; also of the camera's zero in each record
 _LEAST = 1e-6  # instead of an error or share of 0
@@ -61,7 +61,7 @@ class Window(NamedTuple):
 class HeatLoss(NamedTuple):
     """R and h, from E1 and E2 or from the parameters."""
 
-    resistance: Estimate  # by which the voltage before the leads heats a wire
+    resistance: Estimate  # V^2/P: voltage before the leads, heat of a wire
     coefficient: Estimate  # h
     gain: Estimate | None = None  # 1/(R h A_c) in K/V^2, of E2, independent of R
     known: bool = True  # False if h is a default: then the ramps must determine it
@@ -125,10 +125,10 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     logs = result.correlation[np.ix_(both, both)] * np.outer(logs, logs)
     tau = mass / area * cp.value / h.value
     of_tau = math.sqrt(logs[0, 0] + logs[1, 1] - 2.0 * logs[0, 1])
-    remarks, factor, doubt = _checks(result, blind, tau, parameters, heat_loss, steps)
+    remarks, factor, systematic = _checks(result, blind, tau, parameters, heat_loss, steps)
     resistance, loss, gain, known = heat_loss
     of_r = resistance.statistical / resistance.value if gain else 0.0
-    relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, doubt)
+    relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, systematic)
     method = "output-error fit of eq. (2) to the ramps"
     # tau is known well, so c_p has the scale errors of the known h, or of h by these sensors.
     if known:
@@ -255,7 +255,7 @@ def _unknowns(parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_s
               SPECIFIC_HEAT: (float(parameters[SPECIFIC_HEAT]), _ANY * parameters[SPECIFIC_HEAT]),
               AMBIENT: (ambient, _AMBIENT_STD), LAG: (_lag(parameters)[0], lag_std)}
     if gain is None:
-        # If the ramps determine h, scale errors of the sensors are the same in R and in h.
+        # If the ramps determine h, it has the same scale errors as R: only random ones matter.
         of_r = own.relative_std if known else own.statistical / own.value
         ohm = parameters[signals.RESISTANCE]
         priors[signals.RESISTANCE] = (float(ohm), of_r * ohm)
@@ -269,7 +269,7 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
             heat_loss: HeatLoss, steps: Sequence[float]) -> tuple[list[Finding], float, float]:
     """Checks of a fit: findings, a factor for the random error and a relative systematic error of
     c_p. `blind`: the fit with h free; `tau`: s, of the wire; `steps`: s, errors of delays."""
-    findings, factor, doubts = list[Finding](), 1.0, [0.0]
+    findings, factor, systematics = list[Finding](), 1.0, [0.0]
     # An offset between the stamps? The sum of delay and lag (best record) is known best.
     fitted, delays = result.fit, [off for off in result.off if off.kind == DELAY]
     best = min(range(len(delays)), key=lambda k: delays[k].std)
@@ -297,18 +297,19 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
         findings.append(remark("two time constants", tau=tau, lag=lag.value, lag_std=lag.std,
                                swapped=lag.value / tau * cp.value))
         # A lag is usually the smaller one; the closer the two, the likelier they are swapped.
-        doubts.append(min(lag.value / tau, tau / lag.value) ** 2)
+        systematics.append(min(lag.value / tau, tau / lag.value) ** 2)
     elif own_std >= _KNOWN_LAG * tau:
         findings.append(remark("lag unresolved", stated=stated, std=std, lag_std=own_std,
                                time_constant=tau))
     # Largest mean residual over a time constant: in K, in standard errors, and over the rise.
     means: list[tuple[float, float, float]] = []
     for block in fitted.problem.blocks:
-        left, model, signal = fitted.left[block.rows], fitted.predicted[block.rows], block.signal
+        signal, rows = block.signal, block.rows
+        residual, model = fitted.left[rows], fitted.predicted[rows]
         width, rise = max(tau, _FEWEST_IN_BIN * signal.period), float(np.ptp(model))
         which = np.floor((signal.time - signal.time[0]) / width).astype(np.intp)
         _, which, count = np.unique(which, return_inverse=True, return_counts=True)
-        mean = np.bincount(which, left) / count
+        mean = np.bincount(which, residual) / count
         cold = np.bincount(which, model - model.min() < _COLD * rise) == count
         scatter = float(np.sqrt(np.mean(mean[cold] ** 2))) if cold.any() else 0.0
         error = np.maximum(scatter, signal.noise / np.sqrt(count))
@@ -326,13 +327,13 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
         known, free = numbers[COEFFICIENT], alone[COEFFICIENT]
         scales = 0.0 if heat_loss.gain else math.hypot(*scale_of_gain(parameters).values())
         difference = math.log(known.believed / free.value)
-        doubt = math.hypot(free.std / free.value, known.prior_std / known.believed, scales)
-        if abs(difference) >= max(_SIGNIFICANT * doubt, _SMALL):
+        std = math.hypot(free.std / free.value, known.prior_std / known.believed, scales)
+        if abs(difference) >= max(_SIGNIFICANT * std, _SMALL):
             other = alone[SPECIFIC_HEAT].value
-            doubts.append(abs(math.log(other / cp.value)))
+            systematics.append(abs(math.log(other / cp.value)))
             findings.append(remark("another steady rise", gain_difference=difference,
-                                   gain_difference_std=doubt, other=other, free=free.value))
-    return findings, factor, math.hypot(*doubts)
+                                   gain_difference_std=std, other=other, free=free.value))
+    return findings, factor, math.hypot(*systematics)
 
 
 def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistance: float,
@@ -347,11 +348,11 @@ def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistan
         temperature = np.interp(grid, w.temperature_time, w.temperature)
         voltage = np.interp(grid, w.voltage_time, w.voltage)
         force = (voltage**2 / resistance - heat_loss * (temperature - surrounding)) / mass
-        kept = float(np.exp(-period / _FILTER_TIME))
-        smooth = first_order_lag(temperature, kept, temperature[0])
+        decay = float(np.exp(-period / _FILTER_TIME))
+        smooth = first_order_lag(temperature, decay, temperature[0])
         driven = (voltage > 0.05 * voltage.max()) & (grid > grid[0] + 5.0 * _FILTER_TIME)
         rates.append(((temperature - smooth) / _FILTER_TIME)[driven])
-        forces.append(first_order_lag(force, kept, force[0])[driven])
+        forces.append(first_order_lag(force, decay, force[0])[driven])
     rate, force = np.concatenate(rates), np.concatenate(forces)
     slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
     if slope == 0.0:

@@ -33,10 +33,10 @@ ZERO, _ROOM = "sensor.voltage.offset", "ambient.temperature"
 _SIGNIFICANT = 3.0  # standard errors from which a remark becomes a warning
 _SIGNIFICANT_BEND = 4.0  # a quiet converter bends a line a little by itself
 _LARGE_DIFFERENCE, _LARGE_BEND_OF_R = 0.002, 0.005  # shares of R below which it does not matter
-_DRIFTS = 4.0  # standard errors; a plateau that drifts by more, and by more than these,
-_LARGE_DRIFT, _SMALLEST_DRIFT = 0.01, 0.1  # of the rise; K, has not settled
+_DRIFTS = 4.0  # standard errors: least drift of a plateau that has not settled
+_LARGE_DRIFT, _SMALLEST_DRIFT = 0.01, 0.1  # of the rise; K: likewise, it must exceed all three
 _LARGE_BEND_OF_H = 0.02  # of the slope
-_DRIFT_STD, _DRIFT_TIME = 1.0, 600.0  # K, of a room that nobody recorded; s in which it gets there
+_DRIFT_STD, _DRIFT_TIME = 1.0, 600.0  # K, std of an unrecorded room's drift; s until it is reached
 _SMALL_DRIFT, _FEWEST_TO_DRIFT = 2e-3, 8  # of the rise, least reported; plateaus to fit it
 _SHORTEST_PLATEAU, _FEWEST_LEVELS = 5.0, 3  # of E8, as those below: s; temperatures
 _STEADY, _WINDOW = 0.3, 2.0  # K of change within s that count as steady
@@ -49,7 +49,7 @@ _BAD_MISFIT = 9.0  # chi square per degree of freedom
 def identify_resistance(record: Record, staircase: Staircase, parameters: Parameters) -> Experiment:
     """Fit V over I through the plateaus of a staircase. Where heating and cooling differ by two
     standard errors the heating slope counts, as in the paper, and half the difference is added to
-    the error. InputError: current that does not follow, too few samples, or ohms of leads alone."""
+    the error. InputError: current that does not follow, too few samples, or nothing but leads."""
     staircase = staircase.read(record, "voltage", "current")
     v, i = (staircase.means(record, name) for name in ("voltage", "current"))
     volts, amps, n, findings = v.value, i.value, len(v.value), list[Finding]()
@@ -60,7 +60,7 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     up = np.array([p.direction == "up" for p in staircase.plateaus])
 
     def covariance(ohm: float) -> Array:
-        """(n, n) of V - ohm I in V^2; plateaus at one voltage share converters' errors."""
+        """Covariance (n, n) of V - ohm I in V^2; equal voltages share converters' errors."""
         noise = np.diag(v.noise**2 + (ohm * i.noise) ** 2)
         return np.asarray(noise + (v.hidden**2 + (ohm * i.hidden) ** 2) * same)
 
@@ -166,7 +166,7 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
                       rise=np.ptp(kelvin), volts=np.ptp(volts))
 
     def covariance(gain: float, size: float = size) -> Array:
-        """(n, n) of T - gain V^2 in K^2: plateaus at one voltage share converters' errors."""
+        """Covariance (n, n) of T - gain V^2 in K^2; equal voltages share converters' errors."""
         sensitivity = 2.0 * gain * volts
         noise = t.noise**2 + (sensitivity * v.noise) ** 2 + t.hidden**2
         hidden = np.outer(sensitivity, sensitivity) * v.hidden**2 * shared

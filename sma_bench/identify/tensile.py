@@ -35,7 +35,7 @@ SYMBOL = {"martensite": "E_M", "austenite": "E_A"}
 # Pa: martensite after detwinning 20 to 50 GPa, austenite 40 to 90 GPa in the literature.
 _NITI_MODULUS = {"martensite": (17e9, 60e9), "austenite": (35e9, 100e9)}
 _FINISH = {"martensite": SYMBOLS["M_f"], "austenite": SYMBOLS["A_f"]}
-_PLATEAU_SLOPE, _PLATEAU_STRAIN = 0.35, 0.004  # at most, of the steepest; at least, in strain
+_PLATEAU_SLOPE, _PLATEAU_STRAIN = 0.35, 0.004  # slope over the steepest, at most; length, at least
 _GRID = 240  # bins of strain
 _MOST_PIECES, _SHORTEST_PIECE = 9, 4  # straight pieces of a curve; points of each
 _STRAIGHT = 0.004  # rms distance from them, over the range of stress

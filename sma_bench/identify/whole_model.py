@@ -73,7 +73,7 @@ def identify_driven_wires(records: Sequence[Record], parameters: Parameters,
     fitted = fit_experiment("E0", title, observations, parameters, report, most_starts=2)
     found = {n: e for n, e in fitted.estimates.items()
              if n in (*priors.HEAT, CAMERA_LAG) and e.informed >= _UNINFORMED}
-    # Where only a product is determined and its other factor was not given, that keeps its default.
+    # If records determine only a product, and neither factor was given, the other one is a default.
     for name, (what, _, symbol) in _UNITS.items():
         partner, product = priors.PRODUCTS[name], fitted.details.get(what)
         if product and product.informed >= _UNINFORMED and partner not in parameters.given:
@@ -208,12 +208,12 @@ def _findings(result: Result) -> Iterator[Finding]:
     fitted = result.fit
     noise = fitted.problem.with_noise(fitted.left).noise
     for block in fitted.problem.blocks:
-        signal, left = block.signal, fitted.left[block.rows]
-        name, path, rms = signal.name, block.observation.path, float(np.std(left))
+        signal, residual = block.signal, fitted.left[block.rows]
+        name, path, rms = signal.name, block.observation.path, float(np.std(residual))
         if (ratio := rms / signal.noise) > _FLOOR:
             yield remark("above the noise", subject=name, path=path, ratio=ratio, rms=rms,
                          noise_floor=signal.noise)
-        if (chance := _chance_of_white(noise[name].whiten(left))) < _RARE:
+        if (chance := _chance_of_white(noise[name].whiten(residual))) < _RARE:
             yield remark("still correlated", subject=name, path=path, probability=chance)
 
 

@@ -225,7 +225,7 @@ BIN = 0.2  # s, as in the diagnosis
 MEMORY = 350  # bins: from the older ones the noise is learned, by which the newest are judged
 _SLOW = 30.0  # s, least time constant of a drift that is assumed for judging a mean
 _FAST = 3.0  # s, time constant of a drift while few bins show it
-_CHANCE = 0.01  # that so few bins show a drift too slow
+_CHANCE = 0.01  # probability that so few bins show too slow a drift
 _FEWEST_SAMPLES, _SAMPLES = 20, 400  # samples from which the scatter of neighbours is taken
 # Least noise of a sample: no simulation and no voltage reading is more accurate.
 _LEAST = {"current": 2e-3, "temperature": 0.02, "deflection": 5e-6, "force": 5e-3}
@@ -333,7 +333,7 @@ def _noise_before(level: Array, time: Array, count: Array, stop: int, scatter: f
     found = estimate_noise([level[:stop]], white, period, allowed)
     # A drift at the speed that was seen, but up to `allowed`: a minute does not show its full size.
     seen = max((allowed / max(found.drift, 1e-3 * allowed)) ** 2 * found.time, period)
-    # Few bins may show a drift too slow by chance: a lower bound of its time constant.
+    # Few bins may show too slow a drift by chance: take a lower bound of its time constant.
     surely = seen * float(chdtri(stop, 1.0 - _CHANCE)) / stop
     white = min(found.white, _MOST_WHITE * white)
     return Noise(white, allowed, min(seen, max(surely, _FAST)), period, allowed)
@@ -376,7 +376,7 @@ _SMOOTHING = 2.0  # bins, standard deviation
 _WEIGHTS = np.exp(-0.5 * (np.arange(-_AHEAD, _AHEAD + 1) / _SMOOTHING) ** 2)
 _PLAY = 3.0 / np.sqrt(2.0 * np.sqrt(np.pi) * _SMOOTHING)  # of a bin's noise: 3 x what is left
 _CLOCK_STD = 0.02  # s, between the stamps of an instrument and of the voltages
-_SURELY = 1.0  # s after the model has one phase in every wire: the bench may get there later
+_SURELY = 1.0  # s after every wire has been in one phase in the model: the bench may be later
 _ZERO_STD = 0.2  # K, of a camera's zero
 
 

@@ -378,7 +378,7 @@ def stage_states(comparison: Comparison, settings: Settings,
             current = readings[ELECTRICAL][k]
             if heat and current and counted[k].any() and not np.isnan(current.share):
                 rest = [heat.residual - n * current.share * heat.cause for n in (0.0, 1.0, 2.0)]
-                powers = [float(np.mean((left / heat.tolerance) ** 2)) for left in rest]
+                powers = [float(np.mean((residual / heat.tolerance) ** 2)) for residual in rest]
                 counted[k] *= np.sqrt(min(powers) / powers[0])
         # A mechanical gap that measured temperatures remove has a cause before the temperature.
         hot = stage == MECHANICAL and states[-1].gap >= threshold
