@@ -246,7 +246,7 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters,
             hint = did_you_mean(text, shipped)
             if " " in text:
                 hint = "; steps cannot be given as text, see docs/how_to/own_protocol.md"
-            raise InputError(f"{what} {shown(text)}: neither one of {names} nor a .yaml file{hint}")
+            raise InputError(f"{what} {shown(text)}: not one of {names}, no .yaml file{hint}")
         path = share_directory() / "config" / quantity.folder / f"{text}.yaml"
     return parse_protocol(read_yaml(path), parameters, str(path), path.stem, quantity)
 

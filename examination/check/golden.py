@@ -1,13 +1,13 @@
-"""Do the numbers still come out as they did? Compared with those kept in golden_numbers/.
+"""Are the results still the same numbers? Compares them with those stored in golden_numbers/.
 
-Each kept number has a tolerance and its reason: a rebuilt engine may differ in its last digits and
-no further. Only the public interface is used: `import sma_bench` and the command line.
+Each stored number has a tolerance and a reason for it: after changes of the engine, only last
+digits may differ. Only the public interface is used: `import sma_bench` and the command line.
 
     ./bench check golden [identify simulate diagnose paper] [--only NAME] [--write]
     ./bench check golden blind60      # measures of 60 development cases, six minutes on one core
 
-Exits with 1 if a number is outside its tolerance or gone. What needs the measured data beside the
-checkout is skipped where they are not, and named.
+Exits with 1 if a number is outside its tolerance or missing. Results that need measured data beside
+the checkout are skipped, by name, if the data are not there.
 """
 
 import argparse
@@ -28,8 +28,8 @@ import yaml
 
 import sma_bench
 
-# --- What is computed: numbers with tolerances. Whatever is rebuilt behind the public interface,
-# these functions stay.
+# --- The results: numbers with tolerances. These functions stay, whatever changes behind the public
+# interface.
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = Path(__file__).with_name("golden_numbers")
 CONFIG = ROOT / "config"
@@ -45,8 +45,8 @@ DEVELOPMENT_SEED, BLIND = 1000, "examination.blind.command"
 # --- numbers -----------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Number:
-    """What is compared: a number within a tolerance, or a text or count that must be the same.
-    `side`: "" if either direction counts, "+" if only more, "-" if only less is outside."""
+    """A number with a tolerance, or a text or count that must be the same. `side`: "" if both
+    directions count as outside, "+" if only larger, "-" if only smaller values do."""
 
     value: float | int | str | None
     tolerance: float
@@ -54,7 +54,7 @@ class Number:
     side: str = ""
 
     def moved(self, now: "Number") -> float:
-        """By how many of this number's tolerances `now` is off; infinite if not comparable."""
+        """Deviation of `now` in units of this number's tolerance; infinite if not comparable."""
         if self.value == now.value:
             return 0.0
         if not (self.tolerance and is_number(self.value) and is_number(now.value)):
@@ -63,7 +63,7 @@ class Number:
         return moved if math.isfinite(moved) else math.inf
 
     def is_outside(self, now: "Number") -> bool:
-        """Whether `now` is farther off than this number allows."""
+        """True if `now` is outside the tolerance."""
         moved = self.moved(now)
         return {"": abs(moved), "+": moved, "-": -moved}[self.side] > 1.0
 
@@ -77,7 +77,7 @@ Numbers = dict[str, Number]
 @dataclass(frozen=True)
 class Result:
     """One record identified, one case diagnosed, ...: its numbers, or why there are none.
-    `seconds`: of the processor; `skipped`: the data is not here; `failed`: how it ended."""
+    `seconds`: CPU time; `skipped`: data that are missing; `failed`: the error."""
 
     numbers: Numbers
     seconds: float = 0.0
@@ -86,12 +86,12 @@ class Result:
 
 
 def exact(value: float | str | None) -> Number:
-    """A verdict, a name, a count: the same or wrong."""
+    """A verdict, a name or a count, which must be the same."""
     return Number(value, 0.0, "exact")
 
 
 def within(value: float | None, tolerance: float, reason: str, side: str = "") -> Number:
-    """A number with its tolerance, both as they will be kept."""
+    """A number with its tolerance, both rounded as stored."""
     if not is_number(value) or not math.isfinite(float(value or 0.0)):
         return exact(None if value is None else str(value))
     return Number(float(f"{float(value or 0.0):.9g}"), float(f"{tolerance:.3g}"), reason, side)
@@ -126,7 +126,7 @@ def simulated_wire(*protocols: str, changed: Mapping[str, float] | None = None) 
 
 
 def thermal_validation() -> Numbers:
-    """E4: what a staircase and a ramp tell, tried on a triangle that the fit has not seen."""
+    """E4: identified from a staircase and a ramp, validated on a triangle."""
     truth = sma_bench.load_parameters(WIRE)
     seen = [_recorded(name, truth, 50.0, 1) for name in ("quick_staircase", "quick_ramp")]
     found = sma_bench.identify(seen, WIRE)
@@ -134,7 +134,7 @@ def thermal_validation() -> Numbers:
 
 
 def clamped_wire() -> Numbers:
-    """E8: the force of a clamped wire, and what a staircase told before."""
+    """E8: the force of a clamped wire, after a staircase has been identified."""
     truth = sma_bench.load_parameters(WIRE)
     before = sma_bench.identify(_recorded("quick_staircase", truth, 50.0, 1), WIRE).parameters
     return identified([_recorded("thermal_expansion", truth, 20.0, 1)], before)
@@ -147,7 +147,7 @@ def simulated_composite() -> Numbers:
 
 
 def instrument_files(experiment: str, *names: str) -> Numbers:
-    """E5, E6, E7, E9: files as the instruments export them, synthetic."""
+    """E5, E6, E7, E9: synthetic files in the instruments' export formats."""
     from make import instrument_text
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
@@ -161,7 +161,7 @@ def measured(pattern: str, experiment: str = "") -> Numbers:
 
 
 def foreign_spring() -> Numbers:
-    """A wire against a spring made elsewhere: identified from two runs, tried on a third."""
+    """A wire against a spring, foreign data: identified from two runs, validated on a third."""
     bench, rig = DATA / "foreign" / "spring", str(DATA / "foreign" / "spring" / "rig.yaml")
     with tempfile.TemporaryDirectory() as made:
         for name in ("run_a.csv", "run_b_european.txt", "run_c.mat"):
@@ -172,7 +172,7 @@ def foreign_spring() -> Numbers:
 
 def identified(records: Sequence[Any], parameters: Any = None,
                experiments: Sequence[str] | None = None, unseen: Any = None) -> Numbers:
-    """Experiments, estimates and details of `identify`, errors on an unseen record."""
+    """Experiments, estimates and details of `identify`; errors on a hold-out record."""
     found = sma_bench.identify(list(records), parameters, experiments)
     result, numbers = found.to_json(), {}
     tables = {"": result["parameters"]}
@@ -185,16 +185,16 @@ def identified(records: Sequence[Any], parameters: Any = None,
 
 
 def unseen_errors(record: Any, parameters: Any) -> Numbers:
-    """Root mean square of simulated less measured, as a share of what each signal spans."""
+    """Rms of simulated minus measured, as a share of the range of each signal."""
     run = sma_bench.load(sma_bench.simulate(record, parameters))
     wanted, numbers = ("current", "temperature", "deflection", "elongation"), {}
     for name in sorted(record.signals.keys() & run.signals.keys()):
         told, made = record[name], run[name]
-        if name.rpartition(".")[2] not in wanted or not np.ptp(told.values):  # it never moved
+        if name.rpartition(".")[2] not in wanted or not np.ptp(told.values):  # constant signal
             continue
         gap = np.interp(told.time, made.time, made.values) - told.values
         if name in ("deflection", "elongation"):
-            gap -= np.median(gap)  # its zero is anywhere
+            gap -= np.median(gap)  # its zero is arbitrary
         error = 100.0 * float(np.sqrt(np.mean(gap**2)) / np.ptp(told.values))
         key, tolerance = f"unseen run, {name}: error in % of its span", max(0.05 * error, 0.01)
         numbers[key] = within(error, tolerance, "unseen", "+")
@@ -211,7 +211,7 @@ INSTANTS = (29, 62, 83)  # %
 
 
 def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
-    """A wire of each side and the deflection: least, largest, mean and instants."""
+    """One wire per side and the deflection: minimum, maximum, mean, and values at some instants."""
     run = sma_bench.simulate(protocol, CONFIG / f"{rig}_rig.yaml", effects=effects, rate=50.0)
     record = sma_bench.load(run)
     wires = ["wire"] if rig == "wire" else ["front_1", "back_1"]
@@ -222,7 +222,7 @@ def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
         signals[f"{wire}, martensite fraction"] = run.martensite_fraction[:, k]
     numbers = {}
     for name, values in signals.items():
-        # Instants in the middle of a heating and of a cooling, of either side.
+        # Instants during heating and during cooling, for both sides.
         at = {f"at {k} %": values[k * len(values) // 100] for k in INSTANTS}
         shown = {"least": values.min(), "largest": values.max(), "mean": values.mean(), **at}
         tolerance = max(SPAN * float(np.ptp(values)), 1e-12)
@@ -232,14 +232,14 @@ def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
 
 
 # --- what is computed: diagnose -----------------------------------------------------------------
-# The demo's bench is off by these many of the lab's standard errors.
+# Deviations of the demo's bench from the lab's parameters, in stated standard deviations.
 LAB_ERRORS = (0.8, -1.1, 0.3, 1.4, -0.6, -0.2, 1.0, -1.3, 0.5)
 SCORED_CASES = 60
-PATIENCE = "600"  # s a case: on a loaded machine none is to fail for time
+PATIENCE = "600"  # s per case: no case may fail by a timeout on a loaded machine
 
 
 def diagnosed_demo(hidden: Mapping[str, float]) -> Numbers:
-    """The demo's second act without nodes: a bench that is not quite the lab's, and hides this."""
+    """Part 2 of the demo without nodes: a bench with errors as stated, and a hidden effect."""
     lab = sma_bench.load_parameters(DEMO)
     stated = lab.given_uncertainty
     errors = zip(np.resize(LAB_ERRORS, len(stated)), stated.items(), strict=True)
@@ -295,7 +295,7 @@ def paper() -> Numbers:
 
 
 def blind_measures(cases: str, jobs: str) -> Numbers:
-    """The scorer's measures of the development cases, without the follow-up experiments."""
+    """The scorer's measures on development cases, without follow-up experiments."""
     with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as made:
         answers, score = f"{made}/diagnosis", f"{made}/score.json"
         asked = ("--answers", answers, "--jobs", jobs, "--time-limit", PATIENCE)
@@ -322,7 +322,7 @@ def make_cases(folder: str, number: int, jobs: int) -> None:
 
 
 def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
-    """Run a command quietly; RuntimeError with the last line that it said where it fails."""
+    """Run a command quietly. RuntimeError: it failed, with the last line of its output."""
     command = [sys.executable, "-P", "-m", module, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -331,13 +331,13 @@ def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
 
 
 # --- the results --------------------------------------------------------------------------------
-SHOWN = 0.01  # of its tolerance that a number must have moved to be listed
+SHOWN = 0.01  # tolerances: smaller changes of a number are not listed
 Results = Mapping[str, Result]
 
 
 def tasks(section: str, cases: str = "", jobs: int = 1) -> dict[str, dict[str, Any]]:
-    """By result of a section, what makes it, as in made.yaml; `cases`: folder of sets by size;
-    `jobs`: processes of blind60."""
+    """Recipes of the results of a section, as in made.yaml. `cases`: folder of sets by size;
+    `jobs`: processes for blind60."""
 
     def filled(value: Any) -> Any:
         if isinstance(value, list):
@@ -354,19 +354,19 @@ def made(row: Mapping[str, Any]) -> Result:
         return Result({}, skipped=f"no measured data in {needed}")
     try:
         numbers = globals()[row["function"]](*row["arguments"], **row.get("named", {}))
-    except Exception as error:  # one result that ends badly leaves the others theirs
+    except Exception as error:  # one failure must not stop the others
         line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
         return Result({}, _processor_time() - begin, failed=line)
     return Result(numbers, _processor_time() - begin)
 
 
 def _processor_time() -> float:
-    """s, of this process and of those that it has waited for."""
+    """CPU time in s of this process and of its ended children."""
     return sum(os.times()[:4])
 
 
 def compare(kept: Results, now: Results) -> Iterator[tuple[bool, str]]:
-    """All that moved, is gone or is new: whether it is outside its tolerance, and a line."""
+    """Numbers that changed, are missing or new: whether outside the tolerance, and a line."""
     for result, found in now.items():
         old = kept[result].numbers if result in kept else {}
         for name in dict.fromkeys([*old, *found.numbers]) if not found.skipped else ():
@@ -415,7 +415,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def report(section: str, found: dict[str, Result], options: argparse.Namespace) -> int:
-    """Print what moved in a section, keep it if that is asked for; how many are outside."""
+    """Print the changes in a section, store the numbers with --write; how many are outside."""
     file = KEPT / f"{section}.json"
     before = read(file)
     if not options.only:
@@ -453,7 +453,7 @@ def read(path: Path) -> dict[str, Result]:
 
 
 def write(path: Path, results: Results) -> None:
-    """One number a line: its value alone if it is exact, else value, tolerance, reason, side."""
+    """One number per line: the value if exact, else value, tolerance, reason, side."""
     used = {n.reason for result in results.values() for n in result.numbers.values()}
     reasons = {reason: text for reason, text in REASONS.items() if reason in used}
     blocks = []

@@ -1,8 +1,8 @@
 """Table I over a serial port: the nodes of a real bench on the real firmware, in real time.
 
-Only the silicon and the wire are emulated: volts go over a serial port to the firmware, which
-switches its pins; a camera takes pictures of the wire; recorder and identification do the rest.
-Three minutes; ends with 1 unless R, h and c_p are right within three stated errors.
+Only the microcontroller and the wire are emulated: commanded voltages go over a serial port to the
+firmware, which switches its pins; a camera takes pictures of the wire; recorder and identification
+do the rest. Three minutes; exits with 1 unless R, h and c_p are right within three standard errors.
 
     ./bench check hardware [--out NEW_FOLDER]
 """
@@ -30,11 +30,11 @@ ROOT = Path(__file__).resolve().parents[2]
 UNO = ROOT / "test" / "tools" / "uno"
 TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
              "wire.specific_heat": "c_p"}  # fmt: skip
-# What a lab knows of its wire without a volt, by a scale and a ruler: all that the file states.
+# All that the parameter file states: what a lab measures by a scale and a ruler.
 WEIGHED = {n: Parameters.of_paper()[n] for n in ("wire.mass", "wire.surface_area", "wire.diameter")}
 PROTOCOLS = ("quick_staircase", "quick_ramp")
-# Three true numbers are all within three errors but once in 120 times; an error above a tenth would
-# not be worth stating.
+# Three numbers are all within three standard errors, except once in 120 times; an error above a
+# tenth would be useless.
 SIGMAS, LARGEST_ERROR = 3.0, 0.1
 NAMESPACE = "/check_hardware"
 CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
@@ -42,7 +42,7 @@ PATIENCE = 60.0
 
 
 def right(estimates: Mapping[str, Any], truth: Parameters) -> bool:
-    """Whether R, h and c_p are all there, right within their stated errors, and these small."""
+    """True if R, h and c_p are identified, right within their standard errors, and these small."""
     return all((found := estimates.get(name)) is not None
                and abs(found["value"] - truth[name]) <= SIGMAS * found["std"]
                and found["statistical"] <= LARGEST_ERROR * found["value"]
@@ -50,7 +50,7 @@ def right(estimates: Mapping[str, Any], truth: Parameters) -> bool:
 
 
 def show(estimates: Mapping[str, Any], truth: Parameters) -> None:
-    """A row a number: truth, what was found, its error, how far off in %, and in stated errors."""
+    """Print a row per number: true value, estimate, error, deviation in % and standard errors."""
     rows = []
     for name, symbol in TABLE_ONE.items():
         cells = ["not found", "", "", ""]
@@ -63,7 +63,7 @@ def show(estimates: Mapping[str, Any], truth: Parameters) -> None:
 
 
 def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
-    """The service's answer of such a bench; InputError without an Uno or where it aborts."""
+    """Run the bench; the answer of the identification service. InputError: no Uno, or aborted."""
     from sma_bench.ros.bench_client import BenchClient
     from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
@@ -91,7 +91,7 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
             client.follow("serial_bridge")
             for service in ("serial_bridge/self_test", "serial_bridge/enable"):
                 end = time.monotonic() + PATIENCE
-                while True:  # just begun, the bench may not have said everything yet
+                while True:  # right after the start, not all topics may have arrived yet
                     try:
                         print(client.trigger(service, PATIENCE))
                         break
@@ -118,7 +118,7 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when the numbers hold, 1 when not, 2 where there is no emulated Uno."""
+    """0 if the numbers are right, 1 if not, 2 if there is no emulated Uno."""
     options = options_of("hardware", __doc__, argv, out=(Path, "new folder for bags and logs"))
     truth = Parameters(WEIGHED)
     try:

@@ -1,8 +1,8 @@
-"""Does identification give back what a bench was made of, with errors that are true?
+"""Does identification recover the true parameters of a bench, with correct standard errors?
 
-Benches are drawn at random, run through protocol, simulated bench, instruments and bag on disk,
-read back and identified from a parameter file that is off by its stated uncertainty. The bench is
-simulated in this process (the physics that the simulator node steps), not over DDS.
+Benches are drawn at random, simulated with protocols, read by sensors, written to bags, read back
+and identified with a parameter file that is off by its stated uncertainty. The simulation runs in
+this process (with the physics of the simulator node), not over DDS.
 
     ./bench check identification --draws 50 --seed 0 --json result.json
 """
@@ -29,23 +29,23 @@ from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_protocol
 
-# --- A simulated lab: benches drawn within believable ranges, and what their lab knows beforehand.
+# --- A simulated lab: benches drawn from plausible ranges, and their stated parameters.
 RIG = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
        "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 IDENTIFIED = tuple(_DATA["errors"])
 EXACT = ("wire.mass", "wire.surface_area", "wire.diameter")
-_FARTHEST, PRETENSION = 2.5, 0.002  # stated errors; strain
+_FARTHEST, PRETENSION = 2.5, 0.002  # largest error in stated standard deviations; strain
 STEP = 0.0025  # s
 SIDES = ("front", "back")
-JITTER, LOST = 0.2, 0.02  # of a period, of the samples
+JITTER, LOST = 0.2, 0.02  # share of a period; share of the samples
 
-# `truth` simulates the bench, `known` is the parameter file of its lab.
+# `truth`: true parameters of the bench; `known`: the lab's parameter file.
 DrawnBench = namedtuple("DrawnBench", "truth known")
 
 
 def draw_bench(random: np.random.Generator) -> DrawnBench:
-    """One bench: its true parameters, and nominal ones that are off by their stated errors."""
+    """One bench: its true parameters, and stated ones with random errors as stated."""
     drawn = {name: random.uniform(*ends) for name, ends in _DATA["ranges"].items()}
     diameter, length = drawn.pop("diameter"), drawn.pop("length")
     section = math.pi * diameter**2 / 4.0
@@ -54,7 +54,7 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
         "wire.surface_area": math.pi * diameter * length,
         "wire.resistance": drawn.pop("resistivity") * length / section,
         "wire.thermal_expansion_factor": -drawn.pop("expansion") * drawn["wire.martensite_modulus"]}
-    # Every order of the ranges that is seen on NiTi, M_s above A_s as in the paper included.
+    # All orders of the transition temperatures of NiTi, also M_s above A_s as in the paper.
     while True:
         a_s = random.uniform(322.0, 345.0)
         a_f = a_s + random.uniform(10.0, 25.0)
@@ -63,7 +63,7 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
         if m_f > drawn["environment.ambient_temperature"] + 10.0 and m_s < a_f - 2.0:
             break
     truth = Parameters(drawn | dict(zip(IDENTIFIED[3:7], (a_s, a_f, m_s, m_f), strict=True)) | RIG)
-    # The simulated instruments have noise and steps, but no scale of their own.
+    # The simulated sensors have noise and resolution, but no errors of their scales.
     std = {n: e.get("std") or e["share"] * float(truth[n]) for n, e in _DATA["errors"].items()}
     while True:
         nominal = {}
@@ -77,22 +77,22 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
             return DrawnBench(truth, truth.replace(nominal, std | exact))
 
 
-# --- Its experiments: Hz at which each is read, by name; the rest is in the YAML file.
+# --- The experiments, defined in the YAML file.
 EXPERIMENTS: dict[str, float] = {name: own["hertz"] for name, own in _DATA["experiments"].items()}
 
 
 def voltage_for(truth: Parameters, temperature: float) -> float:
-    """Voltage [V] that ends at `temperature` [K]: a lab finds it by trying."""
+    """Voltage [V] with the steady temperature `temperature` [K]; a lab finds it by trial."""
     rise = temperature - truth["environment.ambient_temperature"]
     loss = truth["wire.heat_transfer_coefficient"] * truth["wire.surface_area"]
     return float(np.round(math.sqrt(rise * truth["wire.resistance"] * loss), 3))
 
 
 def simulated(experiment: str, truth: Parameters) -> Simulation:
-    """What the bench does in one of EXPERIMENTS, its steps' volts scaled to this wire."""
+    """Simulate the bench in one of EXPERIMENTS, with voltages scaled to this wire."""
     own = _DATA["experiments"][experiment]
     if composite := experiment.startswith("composite"):
-        # Enough for the whole transformation against the stiffer side.
+        # Hot enough for the complete transformation against the stiffer side.
         stiff = max(truth[f"composite.stress_per_deflection_{side}"] for side in SIDES)
         strain = truth["wire.maximum_recoverable_strain"]
         loads = [0.5 * stiff * truth["composite.deflection_per_strain"] * strain]
@@ -118,14 +118,14 @@ def simulated(experiment: str, truth: Parameters) -> Simulation:
 
 
 def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
-    """What the lab's instruments read in one of EXPERIMENTS, a topic's signals at one time."""
+    """Readings of the lab's sensors in one of EXPERIMENTS; signals of a topic share their times."""
     rate = EXPERIMENTS[experiment]
     found, random = simulated(experiment, truth), np.random.default_rng(seed)
     samples: dict[tuple[str, bool], np.ndarray] = {}
     signals = []
     for signal in signals_of(found):
         channel, _, quantity = signal.name.rpartition(".")
-        if experiment in ("staircase", "ramp") and not channel:  # no load frame there
+        if experiment in ("staircase", "ramp") and not channel:  # these have no load frame
             continue
         topic = channel, quantity == "temperature"
         if topic not in samples:
@@ -139,7 +139,7 @@ def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
     return read_signals(signals, seed)
 
 
-# --- Whether they give back what the bench was made of.
+# --- Comparison of estimates and true values.
 BAND = (0.88, 0.99)
 HEADER = """\
 identification of {draws} benches drawn at random (seed {seed})

@@ -1,8 +1,8 @@
-"""Does a bench's model, fitted to motion and voltage of two runs, predict runs of other shapes?
+"""Does a model fitted to motion and voltage of two runs predict runs with other drives?
 
-Benches are drawn from the population of the blind check and played by its reality, which shares no
-code with the model; the lab's numbers are off by their stated errors. `--rich` adds what a real
-wire has besides, `--hard` what makes a bench hard to predict: see loads.yaml.
+Benches are drawn from the population of the blind check and simulated by its reality, which shares
+no code with the model; the lab's parameters have errors as stated. `--rich` adds further properties
+of real wires, `--hard` properties that make a bench hard to predict: see loads.yaml.
 
     ./bench check loads --benches 20 --seed 0 --json result.json
 """
@@ -26,7 +26,7 @@ from sma_bench.records import Record
 
 LOADS = ("force", "spring", "antagonist")
 UNSEEN = 5
-MEDIAN, TAIL = 0.02, 0.04  # of the stroke
+MEDIAN, TAIL = 0.02, 0.04  # shares of the stroke, limits of the error
 BAND = (0.88, 0.99)
 NOISE = {"voltage": 2e-3, "current": 5e-3, "temperature": 0.2, "deflection": 2e-5}
 BENCHES = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def try_bench(load: str, seed: int, kind: str) -> dict[str, Any]:
-    """One bench: two runs fitted, five of the other shapes predicted."""
+    """One bench: two runs fitted, five with other drives predicted."""
     rng = np.random.default_rng([LOADS.index(load), seed])
     truth = rigs.draw_truth(rng, load)
     nominal = rigs.draw_nominal(truth, rng)
@@ -65,7 +65,7 @@ def try_bench(load: str, seed: int, kind: str) -> dict[str, Any]:
 
 
 def _error(world: World, parameters: Parameters, drive: rigs.Drive) -> float:
-    """Root mean square of predicted less true motion, as a share of the stroke."""
+    """Rms of predicted minus true motion, as a share of the stroke."""
     played = _played(world, drive)
     left = simulate(parameters, played.time, played.voltage).deflection - played.deflection
     return float(np.sqrt(np.mean(np.square(left))) / np.ptp(played.deflection))

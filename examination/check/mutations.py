@@ -1,8 +1,8 @@
-"""Can the safety tests fail? Mutations of the safety rules, each run against the tests of its file.
+"""Do the safety tests notice errors? Mutations of the safety rules, each run against their tests.
 
-Made mechanically: a comparison turned, a limit doubled, a statement forgotten, at every place of
-the files in mutations.yaml where there is one; drawn by seed. Each is made in a copy of this
-folder. mutations.yaml also says of those that change nothing why.
+Mutations are made automatically: a comparison reversed, a limit doubled, a statement removed, at
+every such place of the files in mutations.yaml; a sample is drawn by seed. Each is made in a copy
+of this folder. mutations.yaml also lists mutations without any effect, with the reason.
 
     ./bench check mutations [--number 200] [--seed 1] [--json mutations.json]
 """
@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TABLE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 FILES: dict[str, dict[str, Any]] = TABLE["files"]
 EQUIVALENT: dict[str, str] = TABLE["equivalent"]
-LONGEST = 120.0  # s
+LONGEST = 120.0  # s, of the tests of one mutation
 LEAST_CAUGHT = 0.95
 TURNED = {"<": ">", "<=": ">=", "==": "!=", "is": "is not", "and": "or", "&&": "||"}
 TURNED |= {after: before for before, after in TURNED.items()} | {"not ": "", "!": ""}
@@ -38,7 +38,7 @@ _NUMBER = r"(?<![\w.])(?!0+\.?0*\b)\d+(?:\.\d+)?(?:e[-+]?\d+)?(?:UL|U|L)?(?![\w.
 
 
 class Language(NamedTuple):
-    """How comments and texts, functions, limits and statements look; what is no statement."""
+    """Patterns of comments and strings, functions, limits and statements; and of no statements."""
 
     silent: re.Pattern
     function: re.Pattern
@@ -64,8 +64,8 @@ C = Language(
 
 
 class Mutation(NamedTuple):
-    """`before`, from place `at` of a file on, replaced by `after`; `name` is the same while its
-    function does not change, wherever that stands."""
+    """`before`, at position `at` of a file, replaced by `after`. `name` depends on the function
+    only, not on its place in the file."""
 
     file: str
     at: int
@@ -81,7 +81,7 @@ class Mutation(NamedTuple):
 
 @functools.cache
 def mutations_of(file: str) -> dict[str, Mutation]:
-    """All that there are in the part of a file that is a safety rule, by name."""
+    """All mutations of the safety rules in a file, by name."""
     source, only = (ROOT / file).read_text(), FILES[file].get("only", "")
     language = PYTHON if file.endswith(".py") else C
     plain = language.silent.sub(lambda found: re.sub(r"[^\n]", " ", found.group()), source)
@@ -102,7 +102,7 @@ def mutations_of(file: str) -> dict[str, Mutation]:
 
 
 def edits(plain: str, language: Language) -> Iterator[tuple[int, int, str]]:
-    """From where to where something else is put, and what."""
+    """Start, stop and replacement of each mutation."""
     for found in _COMPARED.finditer(plain):
         yield *found.span(), TURNED[found.group()]
     for found in language.limit.finditer(plain):
@@ -113,7 +113,7 @@ def edits(plain: str, language: Language) -> Iterator[tuple[int, int, str]]:
 
 
 def place_of(plain: str, at: int, language: Language) -> str:
-    """The function, with its class, or what is defined there."""
+    """Name of the function, with its class, or of the definition at this position."""
     line = plain[plain.rfind("\n", 0, at) + 1 :].partition("\n")[0]
     if line.startswith("#define"):
         return line.split()[1].partition("(")[0]
@@ -125,7 +125,7 @@ def place_of(plain: str, at: int, language: Language) -> str:
 
 
 def compiles(mutation: Mutation) -> bool:
-    """Whether what it makes does, without a warning."""
+    """True if the mutated file compiles without a warning."""
     if mutation.file.endswith(".py"):
         try:
             return bool(compile(mutation.applied(), mutation.file, "exec"))
@@ -139,7 +139,7 @@ def compiles(mutation: Mutation) -> bool:
 
 @functools.cache
 def copy() -> tempfile.TemporaryDirectory:
-    """A copy of this folder, one a process, in which the sound files pass."""
+    """A copy of this folder, one per process, in which the tests of the unchanged files pass."""
     folder = tempfile.TemporaryDirectory(prefix="mutations_")
     left_out = shutil.ignore_patterns(".git", ".venv*", "*.log", ".hypothesis", "__pycache__")
     shutil.copytree(ROOT, folder.name, ignore=left_out, symlinks=True, dirs_exist_ok=True)
@@ -150,8 +150,8 @@ def copy() -> tempfile.TemporaryDirectory:
 
 
 def passes(file: str, folder: str, longest: float = LONGEST) -> bool:
-    """Whether the tests of a file end well in a copy of this folder, in time."""
-    # Nothing compiled is kept: a file of the same second and size would pass for the same.
+    """True if the tests of a file pass in a copy of this folder, within the time."""
+    # Without byte code: Python would take a file of the same second and size for the same.
     environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": folder}
     few = ["-q", "-x", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
     command = [sys.executable, "-P", "-m", "pytest", *few, *FILES[file]["tests"]]
@@ -173,7 +173,7 @@ def survives(name: str) -> bool:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when enough of those that can be noticed were."""
+    """0 if enough of the mutations with an effect were noticed."""
     options = options_of("mutations", __doc__, argv, number=(200, "of mutations"),
                          seed=(1, "of the draw"), **IN_PIECES)
     every = [one for file in FILES for one in mutations_of(file).values()]

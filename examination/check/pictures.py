@@ -1,10 +1,9 @@
-"""Pictures of the documentation, taken by a browser from pages of synthetic records.
+"""Make the pictures of the documentation: screenshots of pages of synthetic records.
 
     ./bench check pictures
 
-The record, its results and the bench on the dashboard are of the first tutorial; the diagnosis
-takes minutes. The notebook is run and keeps what its cells show (`./bench notebook` installs what
-runs it).
+Record, results and the bench on the dashboard are those of the first tutorial; the diagnosis takes
+minutes. The notebook is run and saved with its outputs (`./bench notebook` installs its packages).
 """
 
 import contextlib
@@ -33,15 +32,15 @@ from sma_bench.protocols import load_protocol  # noqa: E402
 
 FOLDER, NOTEBOOK = ROOT / "docs" / "pictures", ROOT / "docs" / "tutorials" / "notebook.ipynb"
 RIG = ROOT / "config" / "composite_rig.yaml"
-LARGEST, COLOURS = 1_000_000, 128  # bytes of all of them
+LARGEST, COLOURS = 1_000_000, 128  # bytes of all pictures; colours of each
 EFFECT = ("side_heat_coupling", 0.004)
 SHOWN_AT, PERIOD = 58.0, 0.02  # s of the protocol
-# Picture: page, window, scheme, element (the window where none).
+# Picture: page, window size, colour scheme, element (or the whole window).
 PICTURES = {"dashboard.png": ("dashboard", DESKTOP, "light", ""),
             "dashboard_phone.png": ("dashboard", PHONE, "dark", ""),
             "twin.png": ("dashboard", DESKTOP, "light", "#plots"),
             "diagnosis.png": ("gap", DESKTOP, "light", "")}
-# The tutorial's commands, with what they write.
+# The tutorial's commands, and the files that they write.
 _COMMANDS = (f"parameters --params {RIG} --set wire.resistance=2.72 --out lab.yaml",
              f"simulate --protocol composite_triangle --params {RIG} --rate 50 "
              f"--effect {EFFECT[0]}={EFFECT[1]} --noise 1 --out monday",
@@ -50,7 +49,7 @@ _COMMANDS = (f"parameters --params {RIG} --set wire.resistance=2.72 --out lab.ya
 
 
 def live_bench(folder: Path) -> StandIn:
-    """The synthetic bench of the tutorial in the middle of its protocol, the model beside it."""
+    """The synthetic bench of the tutorial in the middle of its protocol, with the twin."""
     lab, now = read_parameters(folder / "lab.yaml"), [0.0]
     hidden = with_effect(read_parameters(RIG), *EFFECT)
     protocol = load_protocol("composite_triangle", lab)
@@ -116,7 +115,7 @@ def main(arguments: Sequence[str]) -> int:
             pages = {"dashboard": dashboard, "gap": (folder / "gap" / "index.html").as_uri()}
             for name, (page, size, scheme, element) in PICTURES.items():
                 with opened(window, pages[page], size, scheme) as shown:
-                    shown.page.wait_for_timeout(1500)  # figures and the first updates are drawn
+                    shown.page.wait_for_timeout(1500)  # until figures and updates are drawn
                     target = shown.page.locator(element) if element else shown.page
                     made[name] = small(target.screenshot())
     total = sum(map(len, made.values()))

@@ -1,10 +1,10 @@
-"""The locks of all that is installed: whether they are whole, agree, and are safe.
+"""Checks of the lock files: complete, consistent, and without known vulnerabilities.
 
-A requirement file says which version; its lock in `locks/` adds the hash of every file of it and
-what it requires; `./bench` installs locks without resolving. Without an option this compares them
-offline. `--write` asks the package index anew (with uv, fetched for the purpose, and pip) and is
-due after every change of a requirement file. `--audit` asks for known vulnerabilities (with
-pip-audit) and, where it cannot ask, says so.
+A requirement file pins versions; its lock in `locks/` adds the hash of every file and the
+dependencies; `./bench` installs locks without resolving. Without an option this compares them
+offline. `--write` asks the package index again (with uv, which it downloads, and pip); run it after
+every change of a requirement file. `--audit` asks for known vulnerabilities (with pip-audit), and
+says so if the service cannot be reached.
 
     ./bench check pins [--write] [--audit]
 """
@@ -30,24 +30,24 @@ UV, PIP, PIP_AUDIT = "uv==0.13.9", "pip==26.3", "pip-audit==2.10.1"
 OLDEST_PYTHON = "3.11"
 BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requirements-test.txt"
 ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
-# What is installed before each, whose packages it need not name again.
+# Files installed before each, whose packages it need not repeat.
 BELOW = {BUILD: (), RUNTIME: (BUILD,), TEST: (BUILD, RUNTIME),
          "requirements-docs.txt": (BUILD, RUNTIME, TEST),
          "requirements-perf.txt": (BUILD, RUNTIME, TEST),
          "requirements-notebook.txt": (BUILD, RUNTIME), ROBOT: (), NOBLE: (BUILD, ROBOT)}
-# These two have Ubuntu 24.04's Python and versions, and never meet the others.
+# These two have the versions of Ubuntu 24.04 and are never installed together with the others.
 UBUNTU = (ROBOT, NOBLE)
 _PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)([^\\\n#]*)", re.MULTILINE)
 _HASHED = re.compile(r"^[\w.-]+==.*\\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
 _BLOCKS = re.compile(r"\n(?=[\w.-]+==)")
 _REQUIRES = "    # requires "
 
-# A line of a lock: what it pins, on which Pythons, and what that version requires.
+# A line of a lock: the pinned package, for which Pythons, and its requirements.
 Locked = namedtuple("Locked", "name version marker requires")
 
 
 def read_lock(path: Path) -> dict[str, Locked]:
-    """Every package of a lock by its name; none where there is no lock."""
+    """Packages of a lock, by name; none if there is no such lock."""
     found = {}
     for block in _BLOCKS.split(path.read_text() if path.exists() else ""):
         if pin := _PIN.search(block):
@@ -59,10 +59,10 @@ def read_lock(path: Path) -> dict[str, Locked]:
 
 
 def problems() -> list[str]:
-    """A line for all in which a lock is not its requirement file, or two locks differ."""
+    """A line for each difference between a lock and its requirement file, or between two locks."""
 
     def pinned(text: str) -> set[tuple[str, str, str]]:
-        """(name, version, marker) of every line, names and quotes in one form."""
+        """(name, version, marker) of every line, with normalised names and quotes."""
         return {(canonical(name), version,
                  re.sub(r"[\s;'\"]", "", marker).replace("python_full_version", "python_version"))
                 for name, version, marker in _PIN.findall(text)}
@@ -103,7 +103,7 @@ def requirement_files() -> list[Path]:
 
 
 def write_locks(folder: Path) -> int:
-    """Ask the index for every file's hashes and requirements; 0 when all locks are written."""
+    """Ask the index for hashes and requirements of every file; 0 if all locks are written."""
     tools = _tools(folder, UV, PIP)
     LOCKS.mkdir(exist_ok=True)
     texts, metadata = {}, {}
@@ -123,7 +123,7 @@ def write_locks(folder: Path) -> int:
         texts[path.name] = made.read_text()
         metadata[path.name] = {canonical(package["metadata"]["name"]): package["metadata"]
                                for package in json.loads(process.stdout)["install"]}
-    # Of hundreds of extras only those that a package here asks for are of interest.
+    # Only extras that one of the packages here requires.
     extras: dict[str, set[str]] = defaultdict(set)
     for packages in metadata.values():
         for package in packages.values():
@@ -146,7 +146,7 @@ def write_locks(folder: Path) -> int:
 
 
 def audit(folder: Path) -> int:
-    """1 when a vulnerability is known; 0 when none is, or nobody can be asked."""
+    """1 if a vulnerability is known; 0 if none is, or the service cannot be reached."""
     try:
         tool = _tools(folder, PIP_AUDIT) / "pip-audit"
     except subprocess.CalledProcessError:
@@ -173,7 +173,7 @@ def audit(folder: Path) -> int:
 
 
 def _tools(folder: Path, *pins: str) -> Path:
-    """The bin folder of an environment with these tools alone."""
+    """The bin folder of an environment with only these tools."""
     subprocess.run([sys.executable, "-m", "venv", str(folder / "tool")], check=True)
     tools = folder / "tool" / "bin"
     subprocess.run([tools / "pip", "install", "--quiet", *pins], check=True, capture_output=True)
@@ -181,7 +181,7 @@ def _tools(folder: Path, *pins: str) -> Path:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when every lock is whole (and, asked for it, nothing is known against it)."""
+    """0 if all locks are complete (and with --audit, no vulnerability is known)."""
     options = options_of("pins", __doc__, argv, write=(False, "ask the package index anew"),
                          audit=(False, "ask for known vulnerabilities"))  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
-"""The SROS 2 policy against the nodes themselves: every topic and service of each.
+"""Compares the SROS 2 policy with the nodes: every topic and service of each.
 
-Makes every node in this process, for both rigs, asks what it publishes, reads, serves and calls,
-and compares that with config/sros2/policy.xml. `--write` writes the policy from it.
+Creates every node in this process, for both rigs, lists what it publishes, subscribes, serves and
+calls, and compares that with config/sros2/policy.xml. `--write` writes the policy from it.
 
     ./bench check policy [--write]
 """
@@ -28,7 +28,7 @@ POLICY = ROOT / "config" / "sros2" / "policy.xml"
 NAMESPACE = "/bench"
 RIGS = ("wire_rig.yaml", "composite_rig.yaml")
 DASHBOARD = "dashboard"
-# Attribute of sros2's policy, by what a node has.
+# Attribute in sros2's policy, by kind of topic or service.
 KINDS = {"publish": ("topics", "topic"), "subscribe": ("topics", "topic"),
          "reply": ("services", "service"), "request": ("services", "service")}  # fmt: skip
 _ADDED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
@@ -43,11 +43,11 @@ def nodes_rules() -> Rules:
     rules: Rules = {name: {kind: set() for kind in KINDS} for name in (*NODE_TABLES, DASHBOARD)}
     for name, rig in product(NODE_TABLES, RIGS):
         if name == "deflection_controller" and rig == RIGS[0]:
-            continue  # a straight wire bends nothing
+            continue  # there is no deflection of a single wire
         file = ROOT / "config" / rig
         channels = read_parameters(file)["bench.channels"]
         with tempfile.TemporaryDirectory() as folder:
-            # What a node cannot do without.
+            # Topics and services that every node needs.
             needed = {"recorder": {"output": Path(folder, "bag")},
                       "serial_bridge": {"port": "/dev/no_such_port"},
                       "ir_camera": {"image_width": _PICTURE[0], "image_height": _PICTURE[1],
@@ -82,7 +82,7 @@ def nodes_rules() -> Rules:
 
 
 def read_policy(path: Path = POLICY) -> Rules:
-    """Names that the policy allows, by node; ValueError where an entry is not as sros2 has it."""
+    """Names that the policy allows, by node. ValueError: an entry is invalid for sros2."""
     rules: Rules = {}
     for profile in ElementTree.parse(path).getroot().iter("profile"):
         of = rules.setdefault(profile.attrib["node"], {kind: set() for kind in KINDS})
@@ -96,7 +96,7 @@ def read_policy(path: Path = POLICY) -> Rules:
 
 
 def missing_rules(wanted: Rules, given: Rules) -> Rules:
-    """What is in `wanted` that no rule of `given` covers."""
+    """Names in `wanted` that no rule in `given` covers."""
     missing: Rules = {}
     for node, kinds in wanted.items():
         for kind, names in kinds.items():
@@ -107,7 +107,7 @@ def missing_rules(wanted: Rules, given: Rules) -> Rules:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when the policy allows all that the nodes have, and nothing else."""
+    """0 if the policy allows exactly the names of the nodes."""
     options = options_of("policy", __doc__, argv, write=(False, "write the policy from the nodes"))
     found = nodes_rules()
     if options.write:

@@ -1,10 +1,10 @@
-"""The power fails at random instants: is the reason of the last trip ever a wrong or half one?
+"""Is the stored reason of the last trip ever wrong or incomplete after a power failure?
 
-The real firmware on an emulated Uno, in virtual time. It trips, for one of ten causes, and the
-power fails at a random instant before, while or after the reason goes to the EEPROM; or while what
-acknowledges it does, or behind a reset that came in between, or while it starts. The byte under
-way becomes any. The next start must tell what was before or what is now, each whole, or that
-something was lost; and what is now if the power lasted for 40 ms. Three minutes.
+The real firmware on an emulated Uno, in virtual time. It trips for one of ten causes, and the power
+fails at a random instant: before, while or after the reason is written to the EEPROM, while its
+acknowledgement is written, after a reset in between, or during a start. The byte being written gets
+a random value. The next start must report the previous or the new trip, each complete, or that one
+was lost; and the new one if the power lasted for 40 ms. Three minutes.
 
     ./bench check power_cuts [--cuts 1000] [--seed 1] [--json FILE]
 """
@@ -26,9 +26,9 @@ from examination.check.soak import built
 from examination.pieces import IN_PIECES, in_blocks, options_of, print_table
 from sma_bench.hardware.serial_messages import CAUSES, line
 
-KEPT_WITHIN = 0.04  # s: nine bytes of 3.4 ms
-STARTED = 0.15  # s, after which it may be armed
-WRONG_TIME = 0.3  # s between a trip and what is told of it
+KEPT_WITHIN = 0.04  # s to write a reason: nine bytes of 3.4 ms
+STARTED = 0.15  # s after a start, when it can be armed
+WRONG_TIME = 0.3  # s: a larger error of the reported time of a trip counts as wrong
 LOST = CAUSES.index("reason lost with the power")
 RESTARTED = CAUSES.index("restarted while armed")
 TIMSK0, TIMSK1, ADCSRA = 0x6E, 0x6F, 0x7A
@@ -36,14 +36,14 @@ OUTCOMES = ("before", "now", "lost", "WRONG")
 WAYS = ("while it works", "at a trip", "at what acknowledges it", "behind a reset at a trip")
 
 
-# What the Uno says of its last trip: cause, s after a start, not acknowledged.
+# Report of the last trip: cause, s after a start, not acknowledged.
 Report = namedtuple("Report", "cause time open")
-# How one is made, the causes that it may have, s until it has come, at least and at most.
+# How to cause a trip, its possible causes, shortest and longest time until it [s].
 Trip = namedtuple("Trip", "make causes soonest latest")
 
 
 def electrics(**values: float) -> Callable[[VirtualHost], object]:
-    """Numbers at the pins; of wires at the first."""
+    """Set quantities at the pins; those of wires for the first wire."""
 
     def change(host: VirtualHost) -> None:
         pins = host.uno.electrics
@@ -70,7 +70,7 @@ TRIPS = {
     "supply lost": Trip(electrics(supply=0.0), ("supply out of range", *UNEXPLAINED), 0.0, 0.06),
     "converter dead": Trip(poke(ADCSRA), ("converter dead",), 0.005, 0.013),
     "outputs frozen": Trip(poke(TIMSK0), ("output interrupt lost",), 0.004, 0.008),
-    # The next start keeps these, which the watchdog makes.
+    # These, from the watchdog, are only stored at the next start.
     "loop hung": Trip(lambda host: host.uno.hang(interrupts=True), ("main loop hung",), 0.03, 0.08),
     "all hung": Trip(lambda host: host.uno.hang(interrupts=False), ("restarted while armed",),
                      0.05, 0.08),
@@ -79,7 +79,7 @@ TRIPS = {
 
 def verdict(said: Report, before: Report, now: Report, causes: Collection[int], may: bool,
             must: bool) -> str:  # fmt: skip
-    """Outcome of a cut, when `now`, with one of the `causes`, may or must have been kept."""
+    """Outcome of a cut, if `now`, with one of the `causes`, may or must have been stored."""
     is_now = said.cause in causes and said.open == now.open
     if may and is_now and abs(said.time - now.time) < WRONG_TIME:
         return "now"
@@ -87,12 +87,12 @@ def verdict(said: Report, before: Report, now: Report, causes: Collection[int], 
         return "WRONG"
     if said == before:
         return "before"
-    # An acknowledgement that was lost leaves the trip that it was for.
+    # If an acknowledgement is lost, its trip is reported again.
     return "lost" if may and said == Report(LOST, 0.0, True) and not before.open else "WRONG"
 
 
 class CutUno:
-    """A chain of cuts; each starts with what the one before it left."""
+    """A chain of power cuts; each starts with the EEPROM of the one before."""
 
     def __init__(self, uno: emulated_uno.EmulatedUno, draw: random.Random) -> None:
         self._uno, self._host, self._draw = uno, VirtualHost(uno), draw
@@ -106,7 +106,7 @@ class CutUno:
         self._host.messages.clear()
 
     def _lose_power(self) -> Report:
-        """What the next start says; the power may come back only to go once more."""
+        """The report of the next start; the power may fail once more during a start."""
         while True:
             self._restart(emulated_uno.Reset.POWER_ON)
             if self._draw.random() < 0.8:
@@ -120,7 +120,7 @@ class CutUno:
         return Report(int(said["trip"]), 0.1 * int(said["trip_ds"]), said["trip_open"] == "1")
 
     def cut(self) -> dict[str, Any]:
-        """Drive, trip, lose the power: how and what of it the next start tells."""
+        """Drive, trip, cut the power; the outcome, by the report of the next start."""
         draw, host, uno, before = self._draw, self._host, self._uno, self._last
         (way,), kind = draw.choices(WAYS, (1, 4, 4, 2)), draw.choice(list(TRIPS))
         trip, causes = TRIPS[kind], {CAUSES.index(cause) for cause in TRIPS[kind].causes}
@@ -137,7 +137,7 @@ class CutUno:
             host.drive(6000, 0, 0, 3000)
             host.run(0.005)
             trip.make(host)
-        # While it is being stored, most of all.
+        # Mostly while it is being stored.
         first = draw.choice((max(trip.soonest - 0.002, 0.0), trip.latest))
         after = draw.uniform(first, trip.latest + 1.2 * KEPT_WITHIN)
         if way == WAYS[1]:
@@ -176,7 +176,7 @@ def cuts(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when no reason was wrong."""
+    """0 if no reported reason was wrong."""
     options = options_of("power_cuts", __doc__, argv, cuts=(1000, "of the power"),
                          seed=(1, "of the first"), **IN_PIECES)  # fmt: skip
     if missing := emulated_uno.missing_tools():

@@ -1,9 +1,9 @@
-"""Is a real bench predicted better than by eight numbers? Public benches as their owners give them.
+"""Is a real bench predicted better than by a model of eight numbers? Public data of other labs.
 
-FOLDER holds clones of the repositories that docs/real_benches.md names; what is not there is said
-and skipped. Of a bench some runs are identified, the others predicted from their drive alone, and
-next to a rival that knows no physics: one time constant and two logistic branches. Both are
-judged by the root mean square of what they miss, in % of a run's stroke, at 0.2 s.
+FOLDER contains clones of the repositories in docs/real_benches.md; missing ones are named and
+skipped. Some runs of a bench are identified, the others are predicted from their drive alone, and
+compared with a rival without physics: one time constant and two logistic branches. Both are judged
+by the rms of their errors, in % of a run's stroke, in bins of 0.2 s.
 
     ./bench check real FOLDER [--pairs] [--causes] [--json real.json]
 """
@@ -34,13 +34,13 @@ BENCH = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())["spring_
 RUNS = tuple(BENCH["runs"])
 STATED = [("Step02", "Step05_SR"), ("Step02", "Ramp01"), RUNS]
 SAME_INPUT = ("Step02", "Step03_PR", "Step04_SR")
-BIN, CELL = 0.2, 0.05  # s, of scores and of the rival
-EXPECTED = (4.0, 6.6, 3.5)  # %, of the rival on STATED; a better or worse one is another rival
+BIN, CELL = 0.2, 0.05  # s, of the scores and of the rival's simulation
+EXPECTED = (4.0, 6.6, 3.5)  # %, errors of the rival on STATED, to check that it is the same rival
 WITHIN, MEDIAN = 0.15, 6.05
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """1 if the rival is not the one that is meant, or is not beaten."""
+    """1 if the rival's errors are not EXPECTED, or the rival is not beaten."""
     options = options_of(
         "real", __doc__, argv, folder=(..., "of clones"), pairs=(False, "fit every pair of runs"),
         causes=(False, "diagnose the stated pairs, judged on the other runs"), **IN_PIECES)
@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 [_row(names, found[names]) for names in STATED])
     pairwise = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
     moved = [motion(run_of(folder, name))[1] for name in SAME_INPUT]
-    # Measured: by how much one run misses another of the same input, in strokes.
+    # Repeatability: difference of two runs with the same input, as a share of the stroke.
     seen = [_rms(a - b) / float(np.ptp(b)) for a, b in itertools.combinations(moved, 2)]
     same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (pairwise, seen))
     print(f"one run predicts another of its input to {same} % by pairs; measured {seen} %")
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def no_cause_is_refuted(folder: Path, names: Sequence[str]) -> bool:
-    """Whether a diagnosis of some runs names no cause, or one that the other runs bear out."""
+    """True if a diagnosis of some runs names no cause, or one that the other runs confirm."""
     runs = {name: run_of(folder, name) for name in RUNS}
     unseen = [run for name, run in runs.items() if name not in names]
     found = diagnose([runs[n] for n in names], Parameters(BENCH["parameters"]), hold_out=unseen)
@@ -100,7 +100,7 @@ def _row(names: Sequence[str], r: dict[str, Any]) -> tuple[str, ...]:
 
 
 def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
-    """Some runs fitted by both; scores on the others, or on themselves where these are all."""
+    """Fit some runs by both models; scores on the other runs, or on the same if none is left."""
     runs = {name: run_of(Path(folder), name) for name in RUNS}
     unseen = [name for name in RUNS if name not in names] or list(names)
     model = identify([runs[name] for name in names], Parameters(BENCH["parameters"]))
@@ -116,7 +116,7 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
         scores["rival"].append(100.0 * _rms(eight_numbers(rival, run) - moved) / stroke)
         scores["held"].append(float(np.mean((moved > low) & (moved < high))))
         scores["width"].append(float(np.mean(high - low)) / stroke)
-    # Of the most probable law: the runs by one set of numbers, and with their states found.
+    # With the most probable law: all runs with one set of numbers, and with fitted initial states.
     fits = {one.problem.states > 0.0: one for _, one in model.experiments[0].laws[0].weighed}
     alike, fit = fits[False], fits[True]
     one_set = alike.problem.measured - alike.predicted
@@ -130,7 +130,7 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _share(left: Array, problem: Problem) -> float:
-    """Root mean square of what is left, % of each run's stroke, mean over the runs."""
+    """Rms of the residual in % of each run's stroke, mean over the runs."""
     shares = [_rms(left[b.rows]) / np.ptp(b.signal.value) for b in problem.blocks]
     return 100.0 * float(np.mean(shares))
 
@@ -139,13 +139,13 @@ def _rms(left: Array) -> float:
     return float(np.sqrt(np.mean(np.square(left))))
 
 
-# --- The bench as its owners give it.
+# --- The public data.
 def run_of(folder: Path, name: str) -> Record:
-    """A run as a record: volts of the same heat as the duty, and the elongation from rest."""
+    """A run as a record: the direct voltage of the duty, and the elongation from rest."""
     own = BENCH["runs"][name] or {}
     time, duty = _series(folder / BENCH["data"] / f"SensorInput_{name}.mat")
     stamps, position = _series(folder / BENCH["data"] / f"SensorPosition_{name}.mat")
-    if own:  # the file holds another run's input
+    if own:  # the file contains the input of another run
         duty = np.where((time >= own["from"]) & (time < own["to"]), own["duty"], 0.0)
     volts = BENCH["supply"] * np.sqrt(np.maximum(duty, 0.0))
     elongation = position[stamps < BENCH["still"]].mean() - position
@@ -174,11 +174,12 @@ def motion(run: Record) -> tuple[Array, Array]:
     return tuple(x[: bins * each].reshape(bins, each).mean(axis=1) for x in (time, value))
 
 
-# --- Eight numbers: stroke, gain, room, time constant, and centre and width of two branches, of
-# which records tell six.
+# --- The rival, with eight numbers: stroke, gain, ambient, time constant, and centre and width of
+# two branches; six of them are identifiable.
 def eight_numbers(numbers: Array, run: Record) -> Array:
-    """Elongation in bins: a heated lump, and a phase that follows a logistic branch from its last
-    turn (Duhem). The room is 0 and the gain 500 K a duty: any others come to the same."""
+    """Elongation in bins: a heated mass, and a phase fraction that follows a logistic branch from
+    its last reversal (Duhem). Ambient is 0 and the gain 500 K per duty, as these are not
+    identifiable."""
     volts = run["wire.voltage"]
     cells = np.arange(0.0, volts.time[-1] + CELL, CELL)
     heat = np.concatenate([[0.0], np.cumsum(np.diff(volts.time) * volts.values[:-1] ** 2)])
@@ -215,7 +216,7 @@ def _course(duty: Array, numbers: Array) -> Array:
 
 
 def fit_rival(runs: Sequence[Record]) -> Array:
-    """Its numbers, by least squares from six starts."""
+    """The rival's numbers, by least squares from six starting points."""
     truth = [motion(run)[1] for run in runs]
 
     def missed(numbers: Array) -> Array:

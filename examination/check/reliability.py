@@ -1,9 +1,8 @@
-"""Under faults nothing is lost and nothing falls over: every fault many times, as a table.
+"""Reliability under faults: nothing may crash or be lost. Every fault many times, as a table.
 
-Hostile inputs, foreign traffic, nodes killed and started again in all orders, hours of a bench in
-virtual time, parsers fed with anything.
-Each line says what was tried how often, what came of it and what is allowed. Some forty minutes
-on two free cores; the same seed damages the same places.
+Hostile inputs, foreign traffic, nodes killed and restarted in all orders, hours of a bench in
+virtual time, parsers with random input. Each line shows what was tried, how often, the result and
+the limit. Some forty minutes on two idle cores; the same seed makes the same faults.
 
     ./bench check reliability [--only SECTION ...] [--scale 0.1]
 """
@@ -16,7 +15,7 @@ from examination.campaign import nodes
 from examination.campaign.inputs import edited_inputs, hostile_inputs
 from examination.pieces import options_of
 
-# Section: how often unless scaled, and what does it (size, seed, folder).
+# Section: number of trials (before --scale), and the function (size, seed, folder).
 CAMPAIGNS = {
     "hostile": (1000, hostile_inputs),  # inputs
     "traffic": (500, nodes.foreign_traffic),  # messages a topic
@@ -27,7 +26,7 @@ ROW = "{:9} {:58.58} {:>7}  {:4} {}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when everything stayed within what is allowed."""
+    """0 if everything stayed within the limits."""
     options = options_of("reliability", __doc__, argv, only=(tuple(CAMPAIGNS), "sections"),
                          seed=(0, "of all"), scale=(1.0, "multiplies every size"))
     lines = failed = 0

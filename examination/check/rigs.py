@@ -1,8 +1,8 @@
-"""Does a fit stay among the numbers of a bench, whatever is stated of it?
+"""Does a fit stay in the range of a bench's numbers, whatever parameters are stated?
 
-Rigs of every load are drawn, with statements from exact to absurdly wide. A short record of each is
-simulated, identified and diagnosed: either has a finite result, or one line that says what cannot
-be; no exception, no warning of a library, and no "nothing to identify".
+Rigs with every load are drawn, with stated uncertainties from exact to absurdly wide. A short
+record of each is simulated, identified and diagnosed. Each must have a finite result, or an error
+of one line; no other exception, no warning of a library, and no "nothing to identify".
 
     ./bench check rigs --draws 200 --seed 0 --json result.json
 """
@@ -28,10 +28,10 @@ from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records import Record
 
-RATE, STROKE = 10.0, 6.0  # Hz, s
+RATE, STROKE = 10.0, 6.0  # Hz; s
 DENSITY, RESISTIVITY = 6450.0, 85e-8
 WIDE = {"wire.mass", "wire.surface_area", "wire.diameter"}
-# How often a number is stated so, and its error, of its size.
+# Probability of each kind of statement, and its relative error.
 KINDS = {"no": 0.25, "exact": 0.05, "tight": 0.15, "usual": 0.3, "wide": 0.15, "absurd": 0.1}
 FACTORS = {"tight": 1e-4, "usual": 0.05, "wide": 1.0}
 FINE, REFUSED, HIDDEN, RAISED = "finite", "refused", "nothing to identify", "exception"
@@ -52,7 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def try_rig(seed: int) -> dict[str, Any]:
-    """One rig: what came of each work, and in words where it is not finite."""
+    """One rig: the outcome of each task, with a text if it is not finite."""
     rng = np.random.default_rng([38, seed])
     load = LOAD_KINDS[seed % len(LOAD_KINDS)]
     truth = draw_rig(load, rng)
@@ -79,7 +79,7 @@ def try_rig(seed: int) -> dict[str, Any]:
 
 
 def identified(record: Record, stated: Parameters) -> tuple[list[float], Parameters]:
-    """All numbers of the result, and the parameters as improved."""
+    """All numbers of the result, and the improved parameters."""
     result = sma_bench.identify(record, stated)
     return [n for e in result.estimates.values() for n in (e.value, e.std)], result.parameters
 
@@ -95,7 +95,7 @@ WORK = {"identify": identified, "diagnose": diagnosed}
 
 
 def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
-    """A bench that could be built: its wires' sizes agree with each other."""
+    """A bench that could be built: the sizes of its wires are consistent."""
     sides = ("front", "back") if load in ("antagonist", "beam") else ("front",)
     diameter, length = rng.uniform(1e-4, 4e-4), rng.uniform(0.08, 0.4)
     section = math.pi * diameter**2 / 4.0
@@ -139,13 +139,13 @@ def draw_record(truth: Parameters, rng: np.random.Generator) -> Record:
     motion = quantities & {"deflection", "elongation"}
     gone = {q for q in sorted(quantities - motion) if rng.random() < 0.25}
     if truth["load.kind"] == "clamped" and "current" in gone:
-        gone -= {"temperature"}  # all there is to tell
+        gone -= {"temperature"}  # the only signal left
     kept = {n: s for n, s in record.signals.items() if n.rpartition(".")[2] not in gone}
     return replace(record, signals=kept)
 
 
 def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
-    """What its lab states: some numbers not, others exactly, absurdly widely, or at an end."""
+    """The lab's statements: some numbers missing, others exact, absurdly wide, or at a limit."""
     load = truth["load.kind"]
     exact = {n for n, p in BY_NAME.items() if p.uncertainty is None or n == "wire.length"}
     rig = {n: truth[n] for n in truth.given if n not in BY_NAME or n in exact}
@@ -175,5 +175,5 @@ def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
             stds[number.name] = float(number.uncertainty * 10.0 ** rng.uniform(-2.0, 4.0))
         try:
             return Parameters(rig | values, stds)
-        except InputError:  # the file itself would be refused
+        except InputError:  # such a parameter file would be refused
             continue

@@ -203,14 +203,14 @@ UNUSABLE = {"is Python 3.9": "echo 3.9",
             "apt install python3.12-venv": "echo 3.12; exit 1"}  # fmt: skip
 
 
-@pytest.mark.parametrize("reason", [*UNUSABLE, "there is units", "cannot set up"])
+@pytest.mark.parametrize("reason", [*UNUSABLE, "expected one of units", "cannot set up"])
 def test_what_cannot_be_done_is_one_line_before_any_setup(reason, tmp_path):
     house, words, python = make_house(tmp_path / "house"), ["x"], sys.executable
     if reason in UNUSABLE:
         python = str(tmp_path / "python3")
         Path(python).write_text(f"#!/bin/sh\n{UNUSABLE[reason]}\n")
         Path(python).chmod(0o755)
-    elif reason == "there is units":
+    elif reason == "expected one of units":
         words = ["check", "nonsense"]
     else:  # the folder cannot be written
         (house / f".venv-{sys.version_info[0]}.{sys.version_info[1]}.lock").mkdir()
