@@ -174,8 +174,7 @@ def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, lis
         clear, ramps = limit - _CLEARLY * noise_floor(temperature), drive.segments.ramps
         found.append([])
         for k, ramp in enumerate(ramps):
-            # Stretches do not overlap.
-            start = max(ramp.start - _BEFORE, ramps[k - 1].stop if k else -math.inf)
+            start = max(ramp.start - _BEFORE, ramps[k - 1].stop if k else -math.inf)  # no overlap
             after = ramps[k + 1].start if k + 1 < len(ramps) else math.inf
             stop = min(ramp.stop + _AFTER, max(after - _BEFORE, ramp.stop))
             inside = (time >= start) & (time <= stop)
