@@ -1,15 +1,15 @@
 """From fitted candidates to probabilities and a verdict: a conditional logit, learnt from cases
-whose truth is known.
+whose true cause is known.
 
     p(c) = (1 - l) exp(u_c) / sum of exp(u) + l/C,    u_c = sum of w_f x_cf
 
-Each of the C explanations, one or two effects, recalibration, no gap, something else, has linear
-utilities in features x of its own kind; nats go in by their logarithm, for a model's own error
-grows with the gap that it explains. Where physics demands it, weights have a sign. The lapse l is
-the share of the cases in which the records say nothing (D. McFadden, Conditional logit analysis of
-qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophys. 63, 2001). The
-weights, with their errors, are in weights.yaml; `./bench blind learn` writes them, no number was
-chosen by hand on cases. What is at work is named from a probability of 0.6, the contract's."""
+Each of the C explanations (one or two effects, recalibration, no gap, unexplained) has a utility u
+that is linear in features x of its kind; gains (nats) enter as logarithms, because a model's own
+error grows with the gap it explains. Some weights w have a sign that physics requires. The lapse l
+is the share of cases whose records say nothing (D. McFadden, Conditional logit analysis of
+qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophys. 63, 2001).
+`./bench blind learn` writes the weights and their errors to weights.yaml; none was chosen by hand
+on cases. An effect is named from a probability of 0.6, as in the contract."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,11 +40,12 @@ from sma_bench.estimation.unknowns import LAW_EFFECT, OTHER_LAWS
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 
-BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
-NAMED = 0.6  # probability from which what is at work is named
-WORTH_SAYING = 0.02  # probability
-LAW_SHOWS, LAW_SURE = 2.0, 5.5  # of the noise: every bench has less; nats, one in 250 by chance
-# Feature by kind of explanation, and the sign that its weight must have, 0 for either.
+BENIGN = (RECALIBRATION, NO_GAP)  # candidates without a cause
+NAMED = 0.6  # probability from which a cause is named, or a verdict other than ambiguous given
+WORTH_SAYING = 0.02  # probability from which a candidate gets remarks
+LAW_SHOWS = 2.0  # gap by another law, over noise: every bench has a smaller one
+LAW_SURE = 5.5  # nats of another law, reached by chance in one of 250 cases
+# Features by kind of explanation, with the sign that their weights must have (0: either).
 SIGNS: dict[str, dict[str, int]] = {
     "effect": {"one": 0, "gain": 1, "lead": 1, "size": 1, "own": 0, "unsteady": -1, "rivals": -1},
     "pair": {"two": 0, "extra": 1, "partner_size": 1},
@@ -56,10 +57,11 @@ SIGNS: dict[str, dict[str, int]] = {
 NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
 _AT = {name: k for k, name in enumerate(NAMES)}
 _WEIGHTS = Path(__file__).with_name("weights.yaml")
-_LIBRARY = 18  # effects that were learnt from; of more each has a smaller share
-_NEAR, _CLOSE = 5.0, 0.1  # nats, and share of the gain, within which others are rivals
-_NOISY = 4.0  # standard deviations that the largest of many samples has by chance
-# What the model misses is the same in all records: beyond two, gains count by their root.
+_LIBRARY = 18  # effects in the learning cases; if there are more, each is less probable
+_NEAR = 5.0  # nats, plus
+_CLOSE = 0.1  # share of the gain: effects whose gain is at most so much smaller are rivals
+_NOISY = 4.0  # standard deviations of the largest of many samples of noise
+# The model's errors repeat in every record: beyond two, gains grow with the root of their number.
 _USUAL_RECORDS = 2
 
 
@@ -69,10 +71,10 @@ class Learnt:
 
     source: str
     library: str
-    ridge: float  # of the fit, and the lapse that it was made with
-    fit_lapse: float
+    ridge: float  # penalty in the fit of the weights
+    fit_lapse: float  # lapse in that fit
     lapse: float
-    least: float  # probability from which explanations are credible: they hold the truth in 90 %
+    least: float  # probability from which explanations are credible (true one included: 90 %)
     weights: dict[str, tuple[float, float]]
 
     @property
@@ -86,7 +88,7 @@ def learnt() -> Learnt:
 
 
 class Utilities:
-    """Features of explanations, and their sums; effects first, then the three without one."""
+    """Features and utilities of explanations; effects first, then the three without one."""
 
     def __init__(self, found: Weighed) -> None:
         self.found, facts = found, found.candidates
@@ -102,7 +104,7 @@ class Utilities:
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
         self.fixed[: len(facts)] = -np.log(max(len(self._singles), _LIBRARY) / _LIBRARY)
-        # What does not depend on gains.
+        # Features that do not depend on gains.
         rows: list[dict[str, Any]] = []
         for name, one in facts.items():
             unsteady = _log(one.unsteady, 1.0) if one.gain > 0.0 else 0.0
@@ -120,7 +122,7 @@ class Utilities:
         self._plain = np.array([[row.get(name, 0.0) for name in NAMES] for row in rows], float)
 
     def features(self, gains: Array | None = None) -> Array:
-        """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
+        """(m, n, k) of the n explanations, for m sets of gains (m, c) [nats] of the effects."""
         gains = self.gains[None] if gains is None else gains
         counted = np.sqrt(_USUAL_RECORDS / max(self.found.records, _USUAL_RECORDS))
         gains = np.where(gains > 0.0, gains * counted, gains)
@@ -137,21 +139,21 @@ class Utilities:
         effect[:, :, _AT["effect.lead"]] = _signed(lead)
         effect[:, :, _AT["effect.rivals"]] = np.log1p((others > near[:, :, None]).sum(axis=2))
         effect[:, :, _AT["pair.extra"]] = np.where(self._single, 0.0, _signed(gains - better))
-        # What no candidate explains is judged by the best of them.
+        # `unexplained` is judged by the best candidate.
         best, beyond, last = np.maximum(gains.max(axis=1), 0.0), self.found.beyond, x[:, -1]
         last[:, _AT["unexplained.best_gain"]] = _nats(best)
         last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
         return x
 
     def probabilities(self, gains: Array | None = None) -> Array:
-        """(n,) of the explanations; (m, n) where the effects gain so much (m, c)."""
+        """(n,) of the explanations; (m, n) for m sets of gains (m, c)."""
         table = learnt()
         shares = softmax(self.features(gains) @ table.values + self.fixed, axis=1)
         shares = (1.0 - table.lapse) * shares + table.lapse / len(self.names)
         return np.asarray(shares[0] if gains is None else shares)
 
     def nats(self) -> dict[str, dict[str, float]]:
-        """Of every explanation the sum that its log odds are, by feature."""
+        """Of every explanation the terms that sum to its log odds, by feature."""
         short = [*(name.partition(".")[2] for name in NAMES), "library"]
         sums = np.column_stack([self.features()[0] * learnt().values, self.fixed])
         return {name: {feature: nats for feature, nats in zip(short, row, strict=True) if nats}
@@ -159,7 +161,7 @@ class Utilities:
 
 
 def _nats(value: Array | float, scale: float = 4.0) -> Array:
-    """Logarithm of what counts beyond `scale`, in proportion below; 0 for less than nothing."""
+    """log(1 + value/scale): linear well below `scale`; 0 for negative values."""
     return np.asarray(np.log1p(np.maximum(value, 0.0) / scale))
 
 
@@ -179,8 +181,8 @@ class Candidate(Explanation):
 
 
 def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
-    """All candidates, the most probable first. Of a pair whose worse half does next to nothing the
-    better one is the cause: what the pair has, that one has, and the worse half is its remark."""
+    """All candidates, the most probable first. If one effect of a pair contributes almost nothing,
+    the other one gets the pair's probability, and the small effect as a remark."""
     found, facts = weighed.found, weighed.found.candidates
     fits = effect_fits(search) | {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
     probabilities = dict(zip(weighed.names, weighed.probabilities().tolist(), strict=True))
@@ -203,8 +205,8 @@ def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
 
 
 def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """The same, another law of the phase named where it shows, which is free in every candidate:
-    alone a cause in recalibration's place, with an effect a second one, or a remark."""
+    """Candidates with another law of the phase named where it shows (every fit is free to use one):
+    as the cause instead of recalibration, as a second effect, or as a remark on an effect."""
     found, emptied = [], list[Candidate]()
     for one in candidates:
         if one.fit is None or one.probability < WORTH_SAYING or one.name == NO_GAP:
@@ -227,8 +229,8 @@ def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
 
 
 def law_of(fitted: Fit) -> tuple[float, float, dict[str, Estimate]]:
-    """What another law does in a fit, in noise; nats that a straight line promises it; shares."""
-    items = fitted.unknowns.items  # a law that is believed in is no cause
+    """Gap by another law in a fit, over noise; its gain [nats], linearised; its shares."""
+    items = fitted.unknowns.items  # a stated law is no cause
     places = [k for k, item in enumerate(items) if item.name in OTHER_LAWS and item.mean == 0.0]
     if not places or not np.any(fitted.unknowns.values(fitted.x)[places]):
         return 0.0, 0.0, {}
@@ -244,14 +246,14 @@ def estimates(fitted: Fit) -> dict[str, Estimate]:
 
 
 def named(candidates: Sequence[Candidate], weighed: Utilities) -> tuple[str, ...]:
-    """Effects that are at work, whatever else is: what gains most by itself first."""
+    """Effects with a total probability of at least NAMED, the largest gain alone first."""
     found, facts = inclusion(candidates), weighed.found.candidates
     return tuple(sorted((name for name, p in found.items() if p >= NAMED),
                         key=lambda name: -facts[name].gain if name in facts else 0.0))
 
 
 def verdict_of(candidates: Sequence[Candidate]) -> Verdict:
-    """What is said of candidates, the most probable first."""
+    """The verdict on candidates (the most probable first)."""
     if max(inclusion(candidates).values(), default=0.0) >= NAMED:
         return "effect"
     first = candidates[0].name

@@ -1,4 +1,4 @@
-"""The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
+"""The whole diagnosis: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -41,52 +41,54 @@ from sma_bench.physics.effects.residual_strain import FRESH_START
 from sma_bench.records.mend import prepare
 from sma_bench.records.record import Record, require_distinct, with_stated_lag
 
-SURPRISING = 2.0  # prior deviations
-_FIT_SHARE = 0.6  # of a single record without another to hold out
+SURPRISING = 2.0  # prior deviations from which a parameter is reported as moved
+_FIT_SHARE = 0.6  # of each record that is fitted if none is held out
 _STAGES = {
     "wire.resistance": "electrical",
     **dict.fromkeys(HEAT[1:], "thermal"),
     **dict.fromkeys((*TEMPERATURES, "wire.stress_influence_austenite",
                      "wire.stress_influence_martensite"), "transformation")}
-# From which what is left is no noise: nats of a smooth response; deviations in motion, of a sample.
-_FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
-_CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
+# Limits beyond which a residual is not noise:
+_FREE_FORM = 30.0  # nats that a smooth response gains
+_IN_MOTION = 5.5  # standard deviations by which it scatters more in motion than at rest
+_EVENT = 8.0  # standard deviations of a single sample
+_CHANCE = 0.05  # probability that the parameters of some stage move this far by chance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Diagnosis(DiagnosisResult, Reported):
-    """The result with the fits behind it; `to_json` is the contract's."""
+    """The result with the fits behind it; `to_json` follows the contract."""
 
     writer = ("reports", "write_diagnosis_report")
 
     candidates: tuple[Candidate, ...]  # with their fits
-    parameters: Parameters  # as believed
+    parameters: Parameters  # as stated
     search: Search  # all fits
-    model: Fit  # the fit that the improved parameters are of
+    model: Fit  # the fit with the improved parameters
     improved: Parameters
     observations: tuple[Observation, ...]  # all records
-    fitted: tuple[Observation, ...]  # records, or parts, that the fit of the shrinkage has seen
-    held_out: tuple[Observation, ...]  # and has not
+    fitted: tuple[Observation, ...]  # records, or parts, in the fit for the shrinkage
+    held_out: tuple[Observation, ...]  # those not in it
 
 
 def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequence[Record] = (),
              progress: Progress = lambda text: None,
              quantities: Sequence[str] = QUANTITIES) -> Diagnosis:
-    """Diagnose the gap between a bench's records and its model, with the parameters as believed and
-    their `uncertainty.` as priors. Candidates are weighed on all records together; the shrinkage is
-    measured on the held-out ones (on the last part of the records where none is held out), with a
-    model that has not seen them. `progress` is called with what is being done. Raises InputError:
-    no records, one that cannot be compared, or one both fitted and held out."""
+    """Diagnose the gap between a bench's records and its model, with the parameters as stated and
+    their `uncertainty.` as priors. Candidates are compared on all records together; shrinkage is
+    measured on the held-out ones (the last part of every record if none is held out), with a model
+    fitted without them. `progress` is called with the name of each step. Raises InputError: no
+    records, one that cannot be compared, or one both fitted and held out."""
     if not records:
         raise InputError("diagnose: no record, expected at least one")
     require_distinct(records, hold_out)
-    # Clocks are mended; signals under suspicion are named, and hold effects back.
+    # Clocks are repaired; suspect signals are reported and exclude effects.
     progress("records")
     ready = prepare((*records, *hold_out), parameters, quantities)
     parameters, lines = with_stated_lag(parameters), ready.remarks
     if held := held_back(ready.doubted):
         more = ", ..." * (len(held) > 3)
-        lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}{more}")
+        lines.append(f"excluded for that reason: {len(held)} effects, {', '.join(held[:3])}{more}")
     # The verdict, and the most probable model that can be simulated.
     observed = observe_all(ready.records, parameters, quantities)
     found = search(observed, parameters, progress, ready.doubted)
@@ -97,7 +99,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     cause = decision.named(candidates, utilities) if verdict == "effect" else ()
     model = next(c.fit for c in candidates if c.fit is not None and set(cause) <= set(c.effects))
     recalibrated, no_gap = found.recalibrated, verdict == NO_GAP
-    # Parameters of the model with their new uncertainties, on top of what was given.
+    # Parameters of the model with their new uncertainties, on top of the stated ones.
     values, stds = model.parameters, dict(zip(model.unknowns.names, model.errors, strict=True))
     stds |= {twin: stds[name] for twin, name in model.unknowns.tied.items()}
     names = [n for n in stds if n not in SHAPES or values[n] != BY_NAME[n].default]
@@ -116,24 +118,24 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     shrinks = shrinkage(
         unfitted, parameters, moved.parameters, parameters if no_gap else blind.parameters,
         sensors_noise(model, [recalibrated, *found.singles.values(), *found.pairs.values()]))
-    # A proposal that the bench's limits refuse costs no diagnosis.
+    # If the bench's limits refuse all proposals, the diagnosis is still returned.
     following, remarks = None, []
     if not no_gap and decision.verdict_of(decided) != UNEXPLAINED:
         progress("the next experiment")
         try:
             following = next_experiment(decided, found, utilities, observations, parameters)
-            if following:  # causes as they are named beside another law
+            if following:  # names of causes after `with_law`
                 renamed = {c.name: new.name for c, new in zip(decided, candidates, strict=False)}
                 causes = tuple(renamed[name] for name in following.separates)
                 following = replace(following, separates=causes)
             if verdict == "ambiguous" and not (following and following.settles):
-                text = "nothing that the bench can do settles the tie"
+                text = "no experiment possible on this bench settles the tie"
                 if following:
-                    text += f": the best of it names the cause with {following.chance:.0%}"
+                    text += f": the best names the cause with {following.chance:.0%} probability"
                 remarks = [Finding("info", "next experiment", text)]
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
-    # Where the gap lies: what effects do, what none explains, or what separates belief and fit.
+    # Where the gap lies: contribution of effects, unexplained residual, or stated against fitted.
     stages = {} if no_gap else stages_of(candidates, found)
     stage, smooth_input = next(iter(found.inputs.items()))
     if verdict == UNEXPLAINED:
@@ -144,7 +146,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]
-    # Quantities that no record holds, if there are any.
+    # To name the quantities that no record holds.
     measured = {quantity for obs in observations for quantity in obs.quantities}
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
@@ -178,7 +180,7 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
 
 
 def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
-    """The same model fitted to other records; how each begins is no number of the bench."""
+    """The same model fitted to other records; FRESH_START, not the bench's, stays as it is."""
     problem = replace(Problem.of(observations, later=1.0), noise=model.problem.noise)
     problem = problem.with_nuisances(model.parameters)
     return fit(problem, *model.unknowns.holding(FRESH_START, model.x), rounds=1, keep_noise=True)
@@ -187,10 +189,10 @@ def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
 def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float]:
     """Probability of each stage of the model in which a gap may arise, the most probable first.
 
-    An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
-    whose parameters moved further than anyone believed (by chi squared of their number), if any
-    did. What nothing explains has the stages at which an unknown input gains something, by what its
-    gain weighs; where none does, as recalibration, or the stage of the effect that gains most."""
+    An effect counts for its stage, a pair for that of the effect with the larger gain alone.
+    Recalibration counts for the stage whose parameters moved further than by chance (chi squared),
+    if any did. `unexplained` is divided among the stages at which a smooth unknown input gains,
+    by gain; if none does, it counts as recalibration, else for the stage of the best effect."""
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved = defaultdict[str, list[float]](list)
     names = found.recalibrated.unknowns.bench_names
@@ -198,17 +200,17 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
         moved[_STAGES.get(name, "mechanical")].append(x)
     chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
     least = min(chances, key=chances.__getitem__)
-    beyond_belief = least if chances[least] * len(moved) < _CHANCE else ""
+    beyond_prior = least if chances[least] * len(moved) < _CHANCE else ""
     shares = defaultdict[str, float](float)
     for candidate in candidates:
         share, stage = candidate.probability, ""
         if candidate.effects:
             stage = EFFECTS[max(candidate.effects, key=found.gain)].stage
         elif candidate.name == RECALIBRATION:
-            stage = beyond_belief
+            stage = beyond_prior
         elif candidate.name == UNEXPLAINED:
-            stage = beyond_belief or (EFFECTS[found.ranked[0]].stage if found.ranked else "")
-            # As effects are weighed by what they gain.
+            stage = beyond_prior or (EFFECTS[found.ranked[0]].stage if found.ranked else "")
+            # Gains are weighted as those of effects.
             exponent = learnt().weights["effect.gain"][0]
             weights = {one: (1.0 + own.gain / 4.0) ** exponent
                        for one, own in found.inputs.items() if own.gain > 0.0}
@@ -221,24 +223,24 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
 
 
 def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
-    """What of the bench's unknowns nobody stated."""
+    """A finding about the bench's unknowns that nobody stated."""
     names = [n for item in unknowns.items[: unknowns.bench] for n in (item.name, item.partner)
              if n and n not in parameters.given and BY_NAME[n].spread is not None]
-    text = (f"nobody stated {', '.join(names)}: each may be as far from its default as such wires "
-            "and benches differ; identify it, or state what is known")
+    text = (f"nobody stated {', '.join(names)}: each may differ from its default as much as such "
+            "wires and benches vary; identify it, or state a value")
     return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
 
 
 def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
            model: Fit) -> dict[str, Any]:
-    """What speaks for the verdict and against it, as fields of the result."""
-    # Parameters far from what was believed, the farthest first.
+    """Arguments for and against the verdict, as fields of the result."""
+    # Parameters far from their stated values, the farthest first.
     unknowns = model.unknowns
     values, deviations = unknowns.values(model.x).tolist(), unknowns.deviations(model.x).tolist()
     numbers = zip(unknowns.items[: unknowns.bench], values, deviations, strict=False)
     moved = [Moved(item.name, value - item.mean, BY_NAME[item.name].unit, deviation)
              for item, value, deviation in numbers if abs(deviation) > SURPRISING]
-    # Where the two most probable models differ most; one that only adds to the first is no rival.
+    # Where the two most probable models differ most; one that adds to the first is no rival.
     models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
     differ = None
     if len(models) > 1 and verdict not in (NO_GAP, UNEXPLAINED):
@@ -248,7 +250,7 @@ def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
         rival, other = (rivals or others)[0]
         cell = locate(one.problem, one.predicted - other.predicted)[0]
         differ = Difference((first.name, rival.name), cell)
-    # What the best model leaves, its signs that are no noise apart.
+    # The residual of the best model; ratio and outlier are 0 where they may be noise.
     left, gain, by = found.left, found.flexible.gain, RECALIBRATION
     if unknowns.effects:
         left, gain, by = found.left_by_best, found.beyond.gain, "the best model"

@@ -1,9 +1,9 @@
-"""Whether what a fit leaves is noise: noise does not know when the bench moves.
+"""Is the residual of a fit noise? Noise does not depend on what the bench does.
 
-Looks at the whitened residual: whether it scatters more while the signal moves than while it rests;
-what any smooth response to drive, temperature, bending and time explains of it (linear in features
-of the simulation with independent Gaussian weights of the most likely size: what an effect leaves
-is found again elsewhere, drift is not); and at which stage an unknown input explains most of it."""
+Three tests of the whitened residual: does it scatter more while the signal moves than at rest; how
+much of it does a smooth response to drive, temperature, bending and time explain (linear in
+features of the simulation, with Gaussian weights of the most likely size: an effect repeats under
+the same conditions, drift does not); and at which stage does an unknown input explain most."""
 
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -23,29 +23,29 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.physics.simulate import Simulation
 from sma_bench.records.record import first_order_lag
 
-_FEWEST = 30
-_MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s
-_SIZES = np.geomspace(0.1, 1000.0, 9)
-_ROUNDS = 3
+_FEWEST = 30  # samples in motion, and at rest, for a comparison
+_MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s, time constants of features
+_SIZES = np.geomspace(0.1, 1000.0, 9)  # standard deviations tried for the weights
+_ROUNDS = 3  # of fitting response and noise model in turn
 _MOST_CELLS = 1_000_000  # of an even grid
-_KNOTS = 30
-_LEVELS = 8  # of the temperature
-_POWER = 0.02  # of the largest that a record has, for derivatives
-_SHIFT = 1.0  # K
-_MOST = 0.8  # of what the input does lies in the stretch that is said, a tenth before it
+_KNOTS = 30  # of an input, per record
+_LEVELS = 8  # knots of the temperature
+_POWER = 0.02  # of a record's largest power, added for derivatives
+_SHIFT = 1.0  # K, of the transition temperatures, for derivatives
+_MOST = 0.8  # share of an input's effect in the reported stretch; a tenth lies before it
 
 
 @dataclass(frozen=True)
 class Left:
-    """What a fit leaves in motion and at rest."""
+    """Residual of a fit in motion and at rest."""
 
-    ratio: float  # log of moving over resting variance, in standard deviations, the largest of all
-    signal: str  # which one
+    ratio: float  # log of variance in motion over at rest, in standard deviations; largest of all
+    signal: str  # the one with this ratio
     outlier: float  # largest whitened residual, in standard deviations: a single event shows there
 
 
 def left_over(fitted: Fit) -> Left:
-    """Compare what a fit leaves on either side of the median speed of each simulated signal."""
+    """Compare the residual above and below the median speed of each simulated signal."""
     problem, found, outlier = fitted.problem, [(-np.inf, "")], 0.0
     rates = [rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))]
     for block, rate in zip(problem.blocks, rates, strict=True):
@@ -62,17 +62,17 @@ def left_over(fitted: Fit) -> Left:
 
 @dataclass(frozen=True, eq=False)
 class Flexible:
-    """What a smooth response of free form explains of a fit's residual."""
+    """A smooth response of free form, fitted to the residual of a fit."""
 
-    gain: float  # of evidence over the fit, both with the noise that they leave
-    response: Array  # (n,) of the missing term
+    gain: float  # nats over the fit, each with the noise model of its own residual
+    response: Array  # (n,) of the readings
 
 
 def flexible_residual(fitted: Fit) -> Flexible:
-    """Fit the free response to what a candidate leaves."""
+    """Fit a response to the features of drive, temperature, bending and time."""
     made = [own for o in fitted.problem.observations
             for own in _features(o, o.simulate(fitted.parameters))]
-    # Records share the features of a signal that they share.
+    # Records with the same signal share the weights of its features.
     keys = dict.fromkeys(key for key, _ in made)
     rows = [np.hstack([block if one == key else np.zeros((len(block), one[1])) for one in keys])
             for key, block in made]
@@ -80,15 +80,15 @@ def flexible_residual(fitted: Fit) -> Flexible:
 
 
 def smooth_response(fitted: Fit, features: Array) -> Flexible:
-    """What features (n, p) of independent Gaussian weights explain of what a candidate leaves."""
+    """Fit features (n, p) with independent Gaussian weights to the residual of a fit."""
     own = _likelihood(fitted.problem, fitted.left)
-    # It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
+    # Begin with little drift: the noise model of a poor fit has absorbed the residual.
     noises = {name: replace(noise, drift=min(noise.drift, noise.white))
               for name, noise in fitted.problem.noise.items()}
     problem = replace(fitted.problem, noise=noises)
     best = Flexible(0.0, np.zeros_like(fitted.left))
     for _ in range(_ROUNDS):
-        # What the fitted unknowns can still take up is not the features' to explain.
+        # Project out what the fitted unknowns could still absorb.
         rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
         normal = rows.T @ rows + np.eye(rows.shape[1])
         phi, base = problem.whiten(features), problem.whiten(fitted.left)
@@ -110,14 +110,14 @@ def smooth_response(fitted: Fit, features: Array) -> Flexible:
 
 
 def _likelihood(problem: Problem, residual: Array) -> float:
-    """Log of the probability of a residual (n,) and of its noise."""
+    """Log likelihood of a residual (n,), with the prior of its noise model."""
     white = problem.whiten(residual)
     return float(-0.5 * white @ white) - problem.log_scale() + problem.log_prior()
 
 
 def _features(obs: Observation, simulation: Simulation) -> list[tuple[tuple[str, int], Array]]:
-    """(rows, own features) of each signal of a record, in units of its noise; by its name and the
-    number of features, for another bench has other sides."""
+    """(rows, features) of each signal of a record, in units of its noise; by its name and number of
+    features, which differs between benches with other sides."""
     found, clock = [], (obs.grid - obs.grid[0]) / 100.0
     of_wire = cache(partial(_of_wire, obs, simulation))
     for signal in obs.signals:
@@ -159,7 +159,7 @@ def _of_wire(obs: Observation, simulation: Simulation, wire: int) -> list[Array]
 
 
 def _remembered(history: Array, memory: float, grid: Array) -> Array:
-    """First-order lag of (n,) values on a grid (n,) s that need not be even."""
+    """First-order lag of (n,) values on a grid (n,) s that may be uneven."""
     cell = max(float(np.median(np.diff(grid))), float(np.ptp(grid)) / _MOST_CELLS)
     even = np.arange(grid[0], grid[-1] + cell, cell)
     slow = first_order_lag(np.interp(even, grid, history), float(np.exp(-cell / memory)))
@@ -171,15 +171,15 @@ def _unit(history: Array) -> Array:
     return history / largest if largest > 0.0 else history
 
 
-# --- At which stage of the model something is missing: a smooth unknown input for each, in turn.
+# --- The stage of the model at which something is missing: a smooth unknown input to each in turn.
 #
-# An input of 30 knots a record is let into one stage of the model (`_inputs`), linearised about a
-# fit: what it gains says how well a term of that stage would explain what is left (as stochastic
-# grey-box models do: N. R. Kristensen, H. Madsen, S. B. Jorgensen, Automatica 40, 2004).
+# An input with 30 knots per record is added to one stage of the model (`_inputs`), linearised about
+# a fit: its gain tells how well a term of that stage would explain the residual (as in stochastic
+# grey-box models: N. R. Kristensen, H. Madsen, S. B. Jorgensen, Automatica 40, 2004).
 
 
 def process_noise(fitted: Fit) -> dict[str, Flexible]:
-    """What the best input to each stage explains, the best stage first."""
+    """The best input to each stage, the stage with the largest gain first."""
     made = in_threads(_inputs, [(obs, fitted.parameters) for obs in fitted.problem.observations])
     rows = [sum(len(s.time) for s in obs.signals) for obs in fitted.problem.observations]
 
@@ -198,10 +198,10 @@ def process_noise(fitted: Fit) -> dict[str, Flexible]:
 
 
 def missed(fitted: Fit, stage: str, best: Flexible) -> Missed | None:
-    """What an input to a stage says; None where it gains nothing."""
+    """Where an input to a stage acts; None if it gains nothing."""
     if best.gain <= 0.0:
         return None
-    # The stretch of one record that holds most of what the input does there.
+    # The stretch of the most affected record with most of the input's effect.
     power = fitted.problem.whiten(best.response) ** 2
     blocks = fitted.problem.blocks
     total = {o.path: sum(float(power[b.rows].sum()) for b in blocks if b.observation is o)
@@ -218,7 +218,7 @@ def missed(fitted: Fit, stage: str, best: Flexible) -> Missed | None:
 
 
 def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], Array]:
-    """(rows of the record, columns) of what every input of a stage does to the readings."""
+    """(rows of the record, columns): effect on the readings of every input to every stage."""
     obs = obs.coarse
     base = obs.simulate(parameters)
     before = np.concatenate(obs.readings(base))
@@ -231,13 +231,13 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
         return np.where(np.concatenate(chosen)[:, None], columns, 0.0)
 
     def driven(squares: Array) -> Array:
-        """What is read otherwise under these squares of the volts (n, w)."""
+        """Change of the readings with these squared voltages (n, w)."""
         return np.concatenate(obs.readings(obs.simulate(parameters, np.sqrt(squares)))) - before
 
     def averages(columns: Array) -> Array:
         return np.vstack([signal.average @ columns for signal in obs.signals])
 
-    # Too much or too little heat: as far as a wire is warm, or as a conductance of its drive.
+    # Additional heat in proportion to a wire's rise, or to its power (a conductance).
     ambient, squares = parameters["environment.ambient_temperature"], obs.voltage**2
     warm = np.maximum(base.temperature - ambient, 0.0)
     power = _POWER * float(squares.max()) * warm / max(float(warm.max()), 1e-9)
@@ -249,7 +249,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
     shift = np.concatenate(obs.readings(obs.simulate(shifted))) - before
     rungs = ambient + np.linspace(0.0, float(warm.max()), _LEVELS + 1)
     levels = np.hstack([_hats(own, rungs)[:, 1:] for own in base.temperature.T])
-    # A reading that follows the drive at once, or bends.
+    # A reading that depends on the drive directly, or is not linear.
     drive, bend = averages(obs.voltage.sum(axis=1)[:, None]), (before**2)[:, None]
     found = {
         ("thermal", "power"): heated,
@@ -268,5 +268,5 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
 
 
 def _hats(at: Array, knots: Array) -> Array:
-    """(n, k) of what each knot weighs between its neighbours."""
+    """(n, k) weights of the knots in linear interpolation."""
     return np.column_stack([np.interp(at, knots, row) for row in np.eye(len(knots))])

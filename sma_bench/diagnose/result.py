@@ -1,5 +1,5 @@
-"""The result of a diagnosis as plain facts: what its file holds, and what every card, page and
-topic is made from (`templates/diagnosis.j2`)."""
+"""The result of a diagnosis as plain fields: the contents of its file, from which every card, page
+and topic is made (`templates/diagnosis.j2`)."""
 
 import math
 from collections import defaultdict
@@ -13,10 +13,10 @@ from sma_bench.results import Carded, card_rows, cells, decoded, sentences
 
 Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
-NO_EFFECT = (RECALIBRATION, NO_GAP, UNEXPLAINED)  # candidates without a cause
-JOIN = "+"  # of two effects
-AT_NOISE = 1.05  # rms of the error over the noise of a sample: nothing to shrink
-WORTH = 0.05  # probability more than now that the true cause is given
+NO_EFFECT = (RECALIBRATION, NO_GAP, UNEXPLAINED)  # candidates without an effect
+JOIN = "+"  # between the names of two effects
+AT_NOISE = 1.05  # rms error over the noise of a sample, below which there is nothing to shrink
+WORTH = 0.05  # increase of the true cause's probability from which an experiment is proposed
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Cell:
 class Shrinkage:
     """Root mean squares in the signal's unit over the samples of the held-out data."""
 
-    rmse_before: float  # with the parameters as believed
-    rmse_after: float  # with the best model, an effect in it where there is one
+    rmse_before: float  # with the parameters as stated
+    rmse_after: float  # with the best model, including effects if any
     fraction: float  # of the gap beyond `noise_floor` that is gone
-    ci90: tuple[float, float]  # from blocks of time drawn anew and the spread between drives
+    ci90: tuple[float, float]  # by bootstrap over blocks of time, and the spread between drives
     noise_floor: float
     rmse_recalibrated: float = math.nan  # with the best parameters without an effect
 
@@ -50,23 +50,23 @@ class Shrinkage:
 
     @property
     def at_noise(self) -> bool:
-        """Whether there was nothing to shrink."""
+        """True if there was nothing to shrink."""
         return self.times_noise < AT_NOISE
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to do next."""
+    """A proposed experiment."""
 
     kind: str = "protocol"  # protocol, sensor, DSC, or E1 to E9
     why: str = ""  # what it is for
-    separates: tuple[str, ...] = ()  # the causes
-    protocol: Mapping[str, Any] = field(default_factory=dict)  # as its file; of a test none
+    separates: tuple[str, ...] = ()  # causes that it distinguishes
+    protocol: Mapping[str, Any] = field(default_factory=dict)  # its file; empty for a test
     minutes: float = math.nan  # that it takes, on the bench or at the instrument
     chance: float = math.nan  # that the verdict names the true cause after it
-    worth: float = 0.0  # probability more than now that the true cause will be given
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of a test, with its deviations
-    quantities: tuple[str, ...] = ()  # that the protocol needs measured, if not the records'
+    worth: float = 0.0  # expected increase of the true cause's probability
+    parameters: Mapping[str, float] = field(default_factory=dict)  # measured by a test, with errors
+    quantities: tuple[str, ...] = ()  # to measure, if not those of the records
 
     @property
     def settles(self) -> bool:
@@ -81,11 +81,11 @@ class Explanation:
     probability: float
     stage: str = ""
     parameters: dict[str, Estimate] = field(default_factory=dict)  # of its effects
-    gap_over_noise: float = math.nan  # what these do
+    gap_over_noise: float = math.nan  # that these explain
     log_evidence: float = math.nan  # nats, over recalibration
-    # effects that would do less than a tenth of what this one does, with that share
+    # effects that would contribute less than a tenth of this one, with that share
     beside: dict[str, float] = field(default_factory=dict)
-    nats: dict[str, float] = field(default_factory=dict)  # that its log odds are the sum of
+    nats: dict[str, float] = field(default_factory=dict)  # terms of its log odds
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -115,7 +115,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Moved:
-    """A parameter needed far from what was stated: `change` in `unit`, and in deviations."""
+    """A parameter that the best model needs far from its stated value: `change` in `unit`."""
 
     name: str
     change: float
@@ -133,7 +133,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Missed:
-    """The stage at which a smooth unknown input explains most of what no effect does, and when."""
+    """The stage at which a smooth unknown input best explains what no effect does, and when."""
 
     stage: str
     gain: float  # nats over recalibration
@@ -145,7 +145,7 @@ class Missed:
 
 @dataclass(frozen=True)
 class LeftOver:
-    """What the model `by` leaves."""
+    """Residual of the model `by`."""
 
     by: str
     gain: float  # nats that a smooth response would gain
@@ -157,7 +157,7 @@ class LeftOver:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DiagnosisResult(Carded):
-    """What diagnose has found, or its file holds."""
+    """The result of diagnose, or of its file."""
 
     template = "diagnosis.j2"
 
@@ -166,41 +166,41 @@ class DiagnosisResult(Carded):
     candidates: tuple[Explanation, ...]  # the most probable first
     where: Where
     shrinkage: dict[str, Shrinkage]  # by quantity, on data that no fit saw
-    moved: tuple[Moved, ...] = ()  # what the best model needs elsewhere than stated
-    difference: Difference | None = None  # of the two best
-    left: LeftOver | None = None  # what the best model leaves
-    missed: Missed | None = None  # of what nothing explains
+    moved: tuple[Moved, ...] = ()  # far from stated in the best model
+    difference: Difference | None = None  # between the two best models
+    left: LeftOver | None = None  # residual of the best model
+    missed: Missed | None = None  # if the verdict is unexplained
     not_compared: tuple[str, ...] = ()  # quantities that no record holds
     next_experiment: NextExperiment | None = None
-    record: tuple[str, ...] = ()  # what is known of the readings, held back or mended for it
+    record: tuple[str, ...] = ()  # remarks on the readings: suspect, excluded, repaired
     findings: tuple[Finding, ...] = ()  # remarks on records and parameters
-    # from which candidates are credible: they held the truth in 90 % of the cases learnt from
+    # probability of credible candidates; they included the true one in 90 % of the learning cases
     least_credible: float = 0.05
     path: str = "diagnosis"  # of the result file
 
     @property
     def worst_first(self) -> list[tuple[str, Shrinkage]]:
-        """Held-out quantities by what the belief misses of them, over the noise."""
+        """Held-out quantities, the largest error as stated (over noise) first."""
         return sorted(self.shrinkage.items(), key=lambda item: -item[1].times_noise)
 
     @property
     def why(self) -> tuple[str, ...]:
-        """What speaks for the verdict and against it, in sentences."""
+        """Arguments for and against the verdict, in sentences."""
         return tuple(sentences(self, "why"))
 
     @property
     def effects(self) -> dict[str, float]:
-        """Probability of every effect that it is at work, alone or with another."""
+        """Probability of every effect, alone or with another."""
         return inclusion(self.candidates)
 
     @property
     def first(self) -> Explanation | None:
-        """The most probable candidate that holds the whole cause."""
+        """The most probable candidate that contains the whole cause."""
         return next((c for c in self.candidates if set(self.cause) <= set(c.effects)), None)
 
     @property
     def credible(self) -> tuple[str, ...]:
-        """Names of the fewest candidates that hold the truth in 90 %."""
+        """Names of the credible candidates, which include the true one in 90 % of cases."""
         first, *others = self.candidates
         likely = (c.name for c in others if c.probability >= self.least_credible)
         return (first.name, *likely)
@@ -229,8 +229,8 @@ class DiagnosisResult(Carded):
 
 
 def _plain(value: Any) -> Any:
-    """A fact as JSON has it: of an estimate value, error and unit, of a finding its line, of a
-    candidate no fit and of a next experiment no worth."""
+    """A field for JSON: an estimate as value, error and unit, a finding as a line, a candidate
+    without its fit, an experiment without its worth."""
     if isinstance(value, Finding):
         return str(value)
     if isinstance(value, Estimate):
@@ -245,7 +245,7 @@ def _plain(value: Any) -> Any:
 
 def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
     """A diagnosis from what its JSON held. InputError: a line with `where` and the field."""
-    if isinstance(document, dict):  # null stands for none here, for no number elsewhere
+    if isinstance(document, dict):  # null: a missing field at this level, not a number below it
         document = {**{n: v for n, v in document.items() if v is not None}, "path": where}
         if isinstance(lines := document.get("findings"), list):
             document["findings"] = [vars(Finding.read(line)) if isinstance(line, str) else line

@@ -34,36 +34,38 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import CARRIED_OVER
 
-# Of the best gain in evidence, and nats: what lies this near is fitted carefully.
-_CLOSE, _NEAR = 0.35, 15.0
-_MOST_REFINED, _MOST_FROM_BELIEF, _MOST_PAIRED, _PARTNERS = 4, 3, 3, 3
-_HOPELESS = 0.5  # of the best single's gain: with a partner, less than that is no rival of it
-_STANDS_STILL = 0.05  # of the motion that is read
-_DRAWN, _STARTED = 60, 2  # benches that are tried where the believed one stands still
-_LOST = 5.0  # nats below recalibration: the fit may have gone astray
-_FIRST = 2  # effects, the most promising
-_MOST_FORMS = 4  # beyond the usual ones that are fitted
-# Where the lead is beyond ten promises and this many nats more, an effect gets no fit.
-_PROMISES, _BEYOND = 10.0, 30.0
-_WORTH_A_FORM = 2.0  # nats that a start promises
-_STUCK = 5.0  # nats that show a fit had not arrived
-_MOST_PASSES, _MOVING = 4, 1.0  # nats that are worth another
+_CLOSE = 0.35  # of the best gain in evidence, or
+_NEAR = 15.0  # nats: singles within the larger of both are refined
+_MOST_REFINED = 4  # singles
+_MOST_FROM_STATED = 3  # singles that are fitted from the stated parameters as well
+_MOST_PAIRED, _PARTNERS = 3, 3  # singles that get partners, and how many each
+_HOPELESS = 0.5  # of the best single's gain: a single that gains less gets no partners
+_STANDS_STILL = 0.05  # of the measured motion: a simulated one that is smaller is none
+_DRAWN, _STARTED = 60, 2  # benches tried if the stated one does not move, and fitted from
+_LOST = 5.0  # nats below recalibration, where the fit has probably failed and is repeated
+_FIRST = 2  # most promising effects, fitted before the others
+_MOST_FORMS = 4  # that are fitted in addition to the usual ones
+_PROMISES = 10.0  # times the gain that a start promises: an effect where this is more than
+_BEYOND = 30.0  # nats below the best gain gets no fit
+_WORTH_A_FORM = 2.0  # nats that its start must promise
+_STUCK = 5.0  # nats of a better start that show that recalibration had not converged
+_MOST_PASSES, _MOVING = 4, 1.0  # passes of a refinement, and nats gained that are worth another
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
-_WORTH_PAIRING = 8.0  # nats of a single
-# What an effect adds to 1/C beside C itself: its fit can stay on the way from one to the other.
-_MOVED = 0.3  # prior deviations that are worth another fit
+_WORTH_PAIRING = 8.0  # nats that a single must gain
+# The numbers that an effect adds to 1/C, and C: a fit can end with the change divided among both.
+_MOVED = 0.3  # prior deviations by which reassigning it must change the fit to repeat it
 _INSTEAD = {"stress_dependent_transition": {
     f"effect.stress_dependent_transition.{phase}": f"wire.stress_influence_{phase}"
     for phase in ("austenite", "martensite")}}
 
 _TRIED = read_yaml(Path(__file__).with_name("starts.yaml"))
-_STRETCH = (0.3, 2.0)  # of a tried size that is still believed
+_STRETCH = (0.3, 2.0)  # factors of a tried size within which linearisation is trusted
 
 Progress = Callable[[str], None]
 
 
 class Start(NamedTuple):
-    """Where to begin, and the gain in log posterior that a straight line from there promises."""
+    """Where a fit starts, and the gain in log posterior that a linearisation there promises."""
 
     x: Array
     gain: float
@@ -74,22 +76,22 @@ class Search:
     """Every candidate, fitted to all records."""
 
     problem: Problem
-    nominal: Fit  # the parameters as believed, only the sensors' noise and zeros fitted
+    nominal: Fit  # the parameters as stated, only the sensors' noise and zeros fitted
     recalibrated: Fit  # the same model, parameters moved under their priors
     singles: dict[str, Fit]  # by effect
     pairs: dict[tuple[str, str], Fit]  # by two effects, those that were worth a fit
     best: Fit  # of all these, the one with the largest evidence
-    flexible: Flexible  # of what recalibration leaves
-    beyond: Flexible  # of what the best candidate leaves
-    left: Left  # whether what recalibration leaves depends on what the bench does
-    left_by_best: Left  # of the best
-    # what a smooth input to each stage explains of it, the best stage first
+    flexible: Flexible  # for the residual of recalibration
+    beyond: Flexible  # for the residual of the best candidate
+    left: Left  # whether recalibration's residual depends on what the bench does
+    left_by_best: Left  # the same of the best
+    # a smooth input to each stage that explains the residual, the best stage first
     inputs: dict[str, Flexible]
     inputs_by_best: dict[str, Flexible]
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""
-        if name == LAW_EFFECT:  # which recalibration has too
+        if name == LAW_EFFECT:  # part of recalibration too
             return 0.0
         return self.singles[name].evidence - self.recalibrated.evidence
 
@@ -100,22 +102,22 @@ class Search:
 
 def search(observations: Sequence[Observation], parameters: Parameters,
            progress: Progress = lambda text: None, doubted: Collection[str] = ()) -> Search:
-    """Fit everything to all records, those held out as well (their shares are parted later).
-    `doubted`: quantities whose readings are under suspicion, for which effects are `held_back`."""
+    """Fit all candidates to all records, including those held out (the shrinkage has fits without
+    them). `doubted`: quantities with suspect readings, for which effects are `held_back`."""
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
     baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
     fresh = Problem.of(observations, later=1.0)
     tries, here = starts(baseline, 0), fresh.predict(parameters)
-    # Where the bench believed in stands still, no small step shows a motion, and all of it would
-    # pass for drift: believable benches that move as the records do.
+    # If the stated bench does not move, derivatives show no motion, and the measured one would
+    # pass for drift: start also from benches within the priors that move as the records do.
     if any(np.ptp(here[b.rows]) <= _STANDS_STILL * np.ptp(b.signal.value)
            for b in fresh.blocks if b.signal.quantity in MOVED):
         tries += nearest_starts(fresh, baseline, _DRAWN)[:_STARTED]
     recalibrated, _ = recalibrate(fresh, parameters, baseline, tries)
     where = recalibrated.problem
     problem = replace(fresh, observations=where.observations, nuisances=where.nuisances)
-    # As believed: every parameter exact.
+    # As stated: every parameter exact.
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
     names = [n for n in possible_effects(parameters, quantities) if n not in held_back(doubted)]
     kinds = [baseline.with_effects([n], {n: f}) for n in names for f in _forms(n, observations)]
@@ -131,13 +133,13 @@ def search(observations: Sequence[Observation], parameters: Parameters,
         progress("recalibration was stuck: once more")
         singles = _singles(kinds, recalibrated, progress)
     if _surprises(recalibrated):
-        # The way back to believed parameters can be winding: the most promising begin at these.
+        # A fit may not find back to the stated parameters: start the most promising ones there.
         progress("effects instead of surprising parameters")
         away, alike = problem.of_kind(STATE), problem
         if away.any():
             alike = problem.about(parameters, np.where(away, 0.0, recalibrated.z))
         read = replace(alike, noise=recalibrated.problem.noise)
-        begun = _starts(kinds, fit(read, baseline, baseline.start(), rounds=0))[:_MOST_FROM_BELIEF]
+        begun = _starts(kinds, fit(read, baseline, baseline.start(), rounds=0))[:_MOST_FROM_STATED]
         keep(in_threads(lambda kind, start: fit(alike, kind, start.x, far=True), begun))
 
     progress("the best again, carefully")
@@ -146,13 +148,13 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     limit = gains[0] - max(_NEAR, _CLOSE * gains[0])
     worth = [(found,) for found, gain in zip(ranked[:_MOST_REFINED], gains, strict=False)
              if gain >= limit]
-    instead = [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
+    instead = [_due_to_effect(found) for name, found in singles.items() if name in _INSTEAD]
     keep([*in_threads(_refined, worth), *instead])
     better, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("recalibration was stuck: once more")
         keep(_singles(kinds, better, progress).values())
-    recalibrated = max(better, _refined(better), key=by_evidence) if _is_bent(better) else better
+    recalibrated = max(better, _refined(better), key=by_evidence) if _nonlinear(better) else better
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
 
@@ -161,25 +163,25 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     fits = list(dict.fromkeys([recalibrated, best]))
     looks = flexible_residual, left_over, process_noise
     done = in_threads(lambda look, fitted: look(fitted), [(k, f) for k in looks for f in fits])
-    # Of each look that at recalibration, and that at the best.
+    # Each look at recalibration, and at the best, which may be the same fit.
     both = [done[n] for k in range(len(looks)) for n in (k * len(fits), (k + 1) * len(fits) - 1)]
     return Search(problem, nominal, recalibrated, singles, pairs, best, *both)
 
 
 def held_back(doubted: Collection[str]) -> list[str]:
-    """Effects that a doubted signal may feign: of its sensor; of voltage or current all."""
+    """Effects that a suspect signal may imitate: its sensor's; all if voltage or current."""
     everything = bool({"voltage", "current"} & set(doubted))
     return [name for name, effect in EFFECTS.items()
             if everything or (effect.stage == "sensor" and set(effect.acts_on) & set(doubted))]
 
 
 def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
-    """Effects that this load and law can have and these signals show, not yet believed in."""
+    """Effects that this load and law can have and these signals show, and that are not stated."""
     stated, load, law = stated_effects(parameters), load_kind(parameters), parameters["wire.law"]
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
-    # Where the motion is imposed, the force shows what else shows in the motion.
+    # If the motion is imposed, the force shows what elsewhere the motion shows.
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
-    known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()  # refused
+    known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()  # excluded
     known.add(LAW_EFFECT)  # in every candidate
     return [name for name, effect in EFFECTS.items()
             if name not in known and load in effect.loads and law in effect.laws
@@ -187,28 +189,28 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
 
 
 def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
-    """Of an effect, the usual one first; one that hands over to the next record needs a next."""
+    """Forms of an effect, the usual one ("") first; CARRIED_OVER needs a record after another."""
     others = list(EFFECTS[name].forms or ())[1:]
     follows = any(observation.before is not None for observation in observations)
     return ["", *(form for form in others if form != CARRIED_OVER or follows)]
 
 
 def _surprises(fitted: Fit) -> bool:
-    """Whether a number of the bench, or the state of a run, went further than anyone believes."""
+    """True if a parameter or the initial state of a run moved beyond _SURPRISING."""
     far = np.abs([*fitted.x[: fitted.unknowns.bench], *fitted.z[fitted.problem.of_kind(STATE)]])
     return bool(np.max(far, initial=0.0) > _SURPRISING)
 
 
 def _starts(kinds: Sequence[Unknowns], fitted: Fit) -> list[tuple[Unknowns, Start]]:
-    """Of every effect and form, added to a fit of the baseline; the most promising first."""
+    """Starts of every effect and form added to a fit, the most promising first."""
     gains_of = remainder(fitted)
     begun = in_threads(find_start, [(fitted, gains_of, kind) for kind in kinds])
     return sorted(zip(kinds, begun, strict=True), key=lambda both: -both[1].gain)
 
 
 def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -> dict[str, Fit]:
-    """Every effect, begun where recalibration ended: the most promising first, beside which others
-    may be hopeless. Of the forms that are not the usual one the most promising few are fitted."""
+    """Every effect, fitted from recalibration: the most promising first, which may show that others
+    are hopeless. Of the forms other than the usual one, the most promising few are fitted."""
     if not kinds:
         return {}
     progress(kinds[0].effects[0])
@@ -233,7 +235,7 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
 
     worth = [both for both in begun if both[0].forms[0] and both[1].gain > _WORTH_A_FORM]
     worth = [both for both in begun if not both[0].forms[0] or both in worth[:_MOST_FORMS]]
-    # Where numbers went further than anyone believes, a straight line from there says little.
+    # If parameters moved too far, promises by linearisation are not trusted.
     beyond = _BEYOND if not _surprises(recalibrated) else np.inf
     found = in_threads(single, worth[:_FIRST])
     least = max(f.evidence - recalibrated.evidence for f in found) - beyond
@@ -243,15 +245,15 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
     fits: dict[str, Fit] = {}
     for one in found:
         (name,) = one.unknowns.effects
-        # Of forms that are alike, as the wires opposite are of a wire alone, the usual one counts.
+        # Of forms with equal evidence the usual one is taken.
         fits[name] = max(fits.get(name, one), one,
                          key=lambda f: (round(f.evidence, 1), not f.unknowns.forms[0]))
     return {name: fits[name] for name in dict.fromkeys(k.effects[0] for k in kinds)}
 
 
 def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
-    """Recalibration from where the best effect has taken the parameters, if that is better; and
-    whether it is so much better that effects are to be looked for from there."""
+    """Recalibration started from the parameters of the best single, if that is better; True if it
+    is so much better that the singles must be fitted again from there."""
     if not singles:
         return recalibrated, False
     best = max(singles.values(), key=by_evidence)
@@ -260,25 +262,25 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
     return (better if gained > 0.0 else recalibrated), gained > _STUCK
 
 
-def _is_bent(fitted: Fit) -> bool:
+def _nonlinear(fitted: Fit) -> bool:
     return bool((fitted.problem.of_kind(STATE) | fitted.problem.of_kind(TICK)).any())
 
 
 def _refined(found: Fit) -> Fit:
-    """The same model once more, with what its own jumps and delays do, not recalibration's; until
-    that gains nothing where a run's state or a slow logger's jumps are taken along."""
-    bent = _is_bent(found)
-    for _ in range(_MOST_PASSES if bent else 1):
+    """The same model fitted again with jumps and delays linearised about itself, not about
+    recalibration; repeated until it gains nothing if they are nonlinear."""
+    nonlinear = _nonlinear(found)
+    for _ in range(_MOST_PASSES if nonlinear else 1):
         problem, gone = found.problem.about(found.parameters, found.z), found.evidence
-        known = None if bent else found.predicted
+        known = None if nonlinear else found.predicted
         found = fit(problem, found.unknowns, found.x, rounds=2, predicted=known)
         if found.evidence - gone < _MOVING:
             break
     return found
 
 
-def _handed_over(found: Fit) -> Fit:
-    """The same sum of both, all of it the effect's: the parameters as believed."""
+def _due_to_effect(found: Fit) -> Fit:
+    """A fit from the same shifts by stress, due to the effect alone, with C as stated."""
     (effect,) = found.unknowns.effects
     names, items, x = found.unknowns.names, found.unknowns.items, found.x.copy()
     for number, parameter in _INSTEAD[effect].items():
@@ -295,7 +297,7 @@ def _handed_over(found: Fit) -> Fit:
 
 def _pairs(baseline: Unknowns, singles: dict[str, Fit],
            recalibrated: Fit) -> dict[tuple[str, str], Fit]:
-    """The best singles with the partners that promise most; the best pair once more, refined."""
+    """The best singles with their most promising partners; the best pair is refined."""
     ranked = sorted(singles.values(), key=by_evidence, reverse=True)
     gains = [found.evidence - recalibrated.evidence for found in ranked]
     pairs: dict[tuple[str, str], Fit] = {}
@@ -322,21 +324,20 @@ def _pairs(baseline: Unknowns, singles: dict[str, Fit],
     return pairs
 
 
-# --- Where the fit of an effect begins: sizes tried against what recalibration leaves. Slopes at
-# zero are blind to numbers that act only together with another, so whole differences are tried.
-
+# --- Starts of the fit of an effect: sizes tried against the residual of another fit, as finite
+# changes: derivatives at zero vanish for numbers that act only together with another.
 
 Gains = Callable[[Sequence[Parameters]], tuple[Array, Array]]
 
 
 def remainder(fitted: Fit) -> Gains:
-    """Of p benches the gains (p,) of adding a multiple of what each changes, and these multiples
-    (p,): of what recalibration leaves, all directions that it can still go taken out."""
+    """A function of p benches: the gains (p,) of adding a multiple of the change that each makes,
+    and these multiples (p,), for the part of a residual that the fit itself cannot take up."""
     problem = fitted.problem
     rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
     normal = cho_factor(rows.T @ rows + np.eye(rows.shape[1]))
     residual = problem.whiten(problem.measured - fitted.predicted)
-    # The priors pull back what they had to let go: an effect may relieve them of it.
+    # Parameters moved against their priors count, too: an effect may bring them back.
     moved = np.concatenate([fitted.x, np.zeros(rows.shape[1] - len(fitted.x))])
     left = residual - rows @ cho_solve(normal, rows.T @ residual - moved)
     before = problem.coarse.predict(fitted.parameters)[:, np.newaxis]
@@ -353,7 +354,7 @@ def remainder(fitted: Fit) -> Gains:
 
 
 def find_start(fitted: Fit, gains_of: Gains, unknowns: Unknowns) -> Start:
-    """Best of the tried sizes of the last effect, added to a fit, by what its `remainder` gains."""
+    """Best of the tried sizes of the last effect, added to a fit with these gains."""
     bounds, effect = unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
     own = effect.numbers(unknowns.forms[-1])
     first = len(unknowns.names) - len(own)
@@ -388,7 +389,7 @@ def find_start(fitted: Fit, gains_of: Gains, unknowns: Unknowns) -> Start:
 
 
 def start_off(fitted: Fit, unknowns: Unknowns) -> Array:
-    """Where a fit without the last effect ended, that one off, or what kinetics have of it."""
+    """The end of a fit without the last effect, whose numbers are as in that fit (mostly off)."""
     items = unknowns.items[len(fitted.x) :]
     off = [item.x_of(fitted.parameters[item.name]) for item in items]
     return np.clip(np.concatenate([fitted.x, off]), *unknowns.bounds())

@@ -1,13 +1,12 @@
-"""How large a gap is in the sensors' noise, where it lies, how far it shrinks on data held out.
+"""How large a gap is over the sensors' noise, where it lies, how far it shrinks on held-out data.
 
     fraction = 1 - sqrt((after^2 - noise^2)/(before^2 - noise^2))
 
-of the part of the gap that is not noise: a perfect model reaches 1, whatever the sensor. The models
-are simulated as by whoever loads their parameters: without zeros, delays or moments of jumps that a
-fit has found, and with no more drift as noise than the least that a candidate needs, or a usual
-instrument has: what a model misses is slow, too.
-
-Other drives keep another share: by a factor that was fitted in the withheld-effect check."""
+counts only the part of the gap that is not noise: a perfect model reaches 1, whatever the sensor.
+The models are simulated as by a user who loads their parameters, without the zeros, delays or jump
+times of a fit. Drift counts as noise only up to the least that a candidate needs, or a usual
+instrument has, because errors of a model are slow too. Between drives the remaining share varies by
+a factor that was fitted in the withheld-effect check."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -29,16 +28,16 @@ from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 
-_BLOCK = 8.0  # s, longer than any sensor remembers
-_DRAWS, _SEED = 400, 1
+_BLOCK = 8.0  # s, block of the bootstrap, longer than any sensor's memory
+_DRAWS, _SEED = 400, 1  # of the bootstrap
 _SMALLEST = 0.3  # of the noise: below it there is no gap to shrink
-# From one drive to another: standard deviations of the log of what is left, and of what all have.
-_BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
-REMARK = 0.1  # share of the gap below which a partner is a remark, and no second cause
+_BETWEEN_DRIVES = 0.4  # standard deviation of the log of the remaining share, between drives
+_AT_LEAST = 0.007  # standard deviation of that share in addition
+REMARK = 0.1  # share of the gap below which a partner is a remark, not a second cause
 
 
 def contribution(fitted: Fit, names: Sequence[str]) -> Array:
-    """(n,) what effects of a fit add to the readings, less what the parameters beside them do."""
+    """(n,) added to the readings by effects of a fit, without what parameters `beside` explain."""
     problem, known = fitted.problem, fitted.unknowns.names
     off = {p.name: p.default for name in names for p in EFFECTS[name].parameters}
     added = fitted.predicted - problem.predict(fitted.parameters.replace(off))
@@ -52,21 +51,21 @@ def contribution(fitted: Fit, names: Sequence[str]) -> Array:
 
 
 def sample_noise(problem: Problem, name: str) -> float:
-    """Standard deviation of a sample: what scatters, and drifts unless an effect drifts it."""
+    """Standard deviation of a sample: white noise, and drift unless an effect explains it."""
     signal, noise = next(problem.of_signal(name)).signal, problem.noise[name]
     white = noise.white * np.sqrt(signal.usual_count)
     return float(white if noise.wanders else np.hypot(white, noise.drift))
 
 
 def largest_gap(problem: Problem, difference: Array) -> float:
-    """Largest root mean square over the noise, over signals and records."""
+    """Largest root mean square over noise of a difference (n,), of all signals and records."""
     return max(float(np.sqrt(np.mean(difference[b.rows] ** 2)))
                / sample_noise(problem, b.signal.name)
                for b in problem.blocks)
 
 
 def locate(problem: Problem, difference: Array) -> list[Cell]:
-    """Where a difference (n,) in the signals' units lies; the largest share first, then by time."""
+    """Cells of a difference (n,) in the signals' units; the largest share first, then by time."""
     sums = defaultdict[tuple[str, str, str], Array](lambda: np.zeros(3))
     for block in problem.blocks:
         signal, part = block.signal, difference[block.rows]
@@ -101,8 +100,8 @@ def _sides(block: Block) -> NDArray[np.str_]:
 
 def shrinkage(observations: Sequence[Observation], nominal: Parameters, recalibrated: Parameters,
               improved: Parameters, noises: Mapping[str, Noise]) -> dict[str, Shrinkage]:
-    """Of every quantity that held-out data have: with the parameters as believed and those of fits
-    that have not seen these data, without and with effects; `noises` of the sensors, by signal."""
+    """By quantity of the held-out data: with the parameters as stated, and those of fits without
+    these data, without and with effects. `noises`: of the sensors, by signal."""
     # By quantity, a row a block: samples, the variance of their noise, sums of squares by model.
     found = defaultdict[str, list[Array]](list)
     for obs in observations:
@@ -119,11 +118,11 @@ def shrinkage(observations: Sequence[Observation], nominal: Parameters, recalibr
                        for model in readings]
             rows = np.column_stack([counts, np.full(len(counts), floor), *squares])
             found[signal.quantity].append(rows)
-    return {quantity: _of(np.concatenate(rows)) for quantity, rows in found.items()}
+    return {quantity: _of_blocks(np.concatenate(rows)) for quantity, rows in found.items()}
 
 
-def _of(rows: Array) -> Shrinkage:
-    """Of blocks (b, 5), and their interval from blocks drawn anew."""
+def _of_blocks(rows: Array) -> Shrinkage:
+    """The shrinkage over blocks (b, 5), with its interval by bootstrap."""
     counts, floors, squares = rows[:, 0], rows[:, 1], rows[:, 2:]
 
     def fraction(drawn: Any) -> float:
@@ -148,43 +147,43 @@ def _of(rows: Array) -> Shrinkage:
 
 
 def sensors_noise(model: Fit, candidates: Iterable[Fit]) -> dict[str, Noise]:
-    """Of every signal of a model, the drift no larger than any of the candidates needs."""
+    """By signal, the noise model with no more drift than a candidate needs or is usual."""
     least = [fitted.problem.noise for fitted in candidates]
     return {name: replace(noise,
                           drift=min(noise.drift, noise.usual, *(n[name].drift for n in least)))
             for name, noise in model.problem.noise.items()}
 
 
-# --- The numbers that a decision is made of: what every candidate gains, does and leaves.
+# --- Inputs of the decision: gain, size and residual of every candidate.
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Of one candidate: an effect, or two."""
+    """Inputs from one candidate, with an effect or two."""
 
     gain: float  # evidence over recalibration [nats]
-    gap: float  # what it does, in the noise of a sample
-    unsteady: float  # scatter of its size between stretches, of what noise lets it
+    gap: float  # contribution over the noise of a sample
+    unsteady: float  # scatter of its size between stretches of time, over that expected of noise
     own: float  # largest prior deviation of the effects' own numbers
-    parts: dict[str, float]  # what each of the effects does, in noise
+    parts: dict[str, float]  # contribution of each effect, over noise
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Of one search."""
+    """Inputs from one search."""
 
     candidates: dict[str, Facts]
-    moved: float  # gap between the parameters as believed and as recalibrated, in noise
+    moved: float  # gap between the parameters as stated and as recalibrated, over noise
     surprise: float  # of recalibration: squared prior deviations of the bench's parameters
-    as_stated: float  # evidence of the parameters as believed over recalibration [nats]
-    ratio: float  # of the best, in motion against at rest, and its largest outlier: of Left
+    as_stated: float  # evidence of the parameters as stated over recalibration [nats]
+    ratio: float  # `Left.ratio` and `Left.outlier` of the best candidate
     outlier: float
     beyond: float  # nats that a smooth response gains over the best
     input: float  # the same of a smooth input to some stage
     records: int
 
     def remarks(self) -> dict[str, tuple[str, str]]:
-        """Pairs whose worse half by gain does next to nothing: the better half and that one."""
+        """Pairs whose effect of smaller gain adds almost nothing: (the other one, this one)."""
         found = {}
         for pair, facts in self.candidates.items():
             small, *main = sorted(facts.parts, key=lambda effect: self.candidates[effect].gain)
@@ -194,7 +193,7 @@ class Weighed:
 
 
 def weighed(search: Search) -> Weighed:
-    """Everything that the decision looks at."""
+    """All inputs of the decision."""
     recalibrated, fits = search.recalibrated, effect_fits(search)
     moved = recalibrated.x[: recalibrated.unknowns.bench]
 
@@ -202,7 +201,7 @@ def weighed(search: Search) -> Weighed:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
         gap, gain = own_gap(fitted), fitted.evidence - recalibrated.evidence
         parts = {e: own_gap(fitted, (e,)) for e in effects} if len(effects) > 1 else {name: gap}
-        # What gains nothing needs no size, and a zero that wanders has none that stays.
+        # Without a gain no size is compared, and a drifting zero has no constant size.
         unsteady = 1.0
         if effects != (DRIFT_EFFECT,) and gain > 0.0:
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
@@ -222,5 +221,5 @@ def effect_fits(search: Search) -> dict[str, Fit]:
 
 
 def own_gap(fitted: Fit, names: tuple[str, ...] = ()) -> float:
-    """What the effects of a candidate do, or some of them, the rest of its model as it is."""
+    """Largest gap over noise due to the effects of a candidate, or to `names` of them."""
     return largest_gap(fitted.problem, contribution(fitted, names or fitted.unknowns.effects))

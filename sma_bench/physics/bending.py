@@ -1,7 +1,7 @@
 """Bending of the composite: eqs. (12) to (17), (22), (23), corrected (printed: paper/printed.py).
 
-The active layer's modulus in EI and in the curvature is the martensite's: both describe the
-specimen as it lies at rest, and are constants of the model while E(xi) of eq. (7) is not."""
+EI and the curvature use the martensite's modulus for the active layer: both describe the specimen
+at rest and are constants of the model, unlike E(xi) of eq. (7)."""
 
 from dataclasses import dataclass, replace
 
@@ -38,7 +38,7 @@ def channel_section(parameters: Parameters) -> float:
 
 
 def wire_layer_width(parameters: Parameters) -> float:
-    """Width [m] of a layer that has the section of the wires of one side (of their mean)."""
+    """Width [m] of the active layer, with the section of a side's wires (mean of the sides)."""
     if given := parameters["composite.wire_layer_width"]:
         return float(given)
     sides = parameters["bench.channel_sides"]
@@ -47,13 +47,13 @@ def wire_layer_width(parameters: Parameters) -> float:
 
 
 def _of_one_width(beam: Beam) -> Beam:
-    """A layer of another width is one of modulus E w_s/w_c."""
+    """The equivalent beam with a layer as wide as the matrix, of modulus E w_s/w_c."""
     modulus = beam.layer_modulus * beam.layer_width / beam.width
     return replace(beam, layer_modulus=modulus, layer_width=beam.width)
 
 
 def stiffness_terms(beam: Beam, factor: float) -> float:
-    """The bracket of eq. (14), its first term times `factor` [Pa2 m4]."""
+    """The bracket of eq. (14) [Pa2 m4], with its first term multiplied by `factor`."""
     passive, active = beam.thickness, beam.layer_thickness
     mixed = 4.0 * passive**2 + 6.0 * passive * active + 4.0 * active**2
     both = beam.modulus * passive * (beam.layer_modulus * active) * mixed
@@ -61,8 +61,8 @@ def stiffness_terms(beam: Beam, factor: float) -> float:
 
 
 def bending_stiffness(beam: Beam) -> float:
-    """EI [N m2] of eq. (14), corrected: two layers about the neutral axis, the width at each term,
-    12 (E_c h_c + E h) below all."""
+    """EI [N m2], eq. (14) corrected: two layers about the neutral axis, every term multiplied by
+    the width and divided by 12 (E_c h_c + E h)."""
     beam = _of_one_width(beam)
     matrix, layer = beam.modulus * beam.thickness, beam.layer_modulus * beam.layer_thickness
     return beam.width * stiffness_terms(beam, 1.0) / (12.0 * (matrix + layer))
@@ -77,8 +77,8 @@ def curvature(strain: float, beam: Beam) -> float:
 
 
 def deflection(strain: float, beam: Beam) -> float:
-    """Deflection [m] at l, eq. (17) corrected: eq. (16) integrated twice gives kappa l^2/2; of a
-    strain of 1 alpha [m] of eq. (22), corrected: l^2 kappa/(2 eps)."""
+    """Deflection [m] at l, eq. (17) corrected: eq. (16) integrated twice gives kappa l^2/2. At
+    a strain of 1 it is alpha [m] of eq. (22), corrected: l^2 kappa/(2 eps)."""
     return 0.5 * beam.length**2 * curvature(strain, beam)
 
 
@@ -88,7 +88,7 @@ def stress_per_deflection(beam: Beam) -> float:
 
 
 def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
-    """alpha [m], beta of the front and of the back [Pa/m]: as given, where 0 from the geometry."""
+    """alpha [m], beta of the front and of the back [Pa/m]: given, or from the geometry where 0."""
     names = ("deflection_per_strain", "stress_per_deflection_front", "stress_per_deflection_back")
     alpha, front, back = (parameters[f"composite.{name}"] for name in names)
     if alpha and front and back:

@@ -1,4 +1,4 @@
-"""What the wires of each side pull against: the load of the bench, or what an experiment holds."""
+"""The load that the wires of each side pull against: the rig's own, or an experiment's."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,28 +18,26 @@ PerSide = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Boundary:
-    """sum sigma_i = load + stiffness e over the wires of a side, or e = -(eps - eps_0), which they
-    share, prescribed. A field is one number for all sides, or one a side as in `side_names`."""
+    """Over the wires of a side sum sigma_i = load + stiffness e, or their common contraction e =
+    -(eps - eps_0) is prescribed. Fields: one number, or one per side as in `side_names`."""
 
     stiffness: PerSide = 0.0  # Pa, sum of stresses per contraction
     load: PerSide = 0.0  # Pa, sum of stresses at zero contraction
-    contraction: PerSide | None = None  # prescribed e; of an imposed motion that at its start
-    # m, deflection per contraction: positive toward the front; of a wire that moves its load, the
-    # negative length, so that its deflection is its elongation
+    contraction: PerSide | None = None  # prescribed e; of an imposed motion: its start
+    # m, deflection per contraction, positive toward the front; minus the length for a single wire
+    # with a moving load, whose deflection is its elongation
     lever: PerSide = 0.0
-    # both sides pull on one slider: the front's sum of stresses less the back's is load + stiffness
-    # e of the front, and what the one contracts stretches the other
+    # both sides pull on one slider: the front's sum of stresses minus the back's is load +
+    # stiffness e_front, and e_back = -e_front
     coupled: bool = False
-    # strain of a side's wires at zero contraction, which is the bench at rest
-    prestretch: PerSide = 0.0
-    # Pa, by which the sum of stresses is more contracting, less lengthening; between, wires stand
+    prestretch: PerSide = 0.0  # strain of a side's wires at zero contraction (bench at rest)
+    # Pa, dry friction: added to the load in contraction, subtracted in lengthening
     friction: PerSide = 0.0
-    # by which the stiffness is e-fold a contraction of 1: load + stiffness (exp(s e) - 1)/s
-    stiffening: float = 0.0
+    stiffening: float = 0.0  # s of a spring that stiffens: load + stiffness (exp(s e) - 1)/s
 
     @classmethod
     def clamped(cls, contraction: PerSide = 0.0) -> Self:
-        """Ends that do not give: the wire rig."""
+        """Fixed ends: the wire rig."""
         return cls(contraction=contraction)
 
     @classmethod
@@ -49,7 +47,7 @@ class Boundary:
 
     @classmethod
     def imposed(cls, parameters: Parameters, elongation: float) -> Self:
-        """A testing machine, `load.kind` displacement, at the start of a motion: elongation [m]."""
+        """A testing machine (`load.kind` displacement), `elongation` [m] at a motion's start."""
         return replace(cls.of(parameters), contraction=-elongation / wire_length(parameters))
 
     @classmethod
@@ -58,7 +56,7 @@ class Boundary:
         kind = load_kind(parameters)
         if kind == "clamped":
             return cls.clamped()
-        if kind == "displacement":  # not moved, unless a simulation has a motion
+        if kind == "displacement":  # fixed, unless a simulation imposes a motion
             return cls(contraction=0.0, lever=-wire_length(parameters))
         if kind == "beam":  # sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side
             alpha, front, back = bending_coefficients(parameters)
@@ -73,15 +71,15 @@ class Boundary:
         stiffness = parameters["load.stiffness"] * length / section
         modulus, rubs = parameters["wire.martensite_modulus"], parameters["load.friction"] / section
         # Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
-        # At rest in the middle each pulls with the preload; spring and force draw it to the back.
+        # At rest in the middle each pulls with the preload; spring and force pull it to the back.
         if kind == "antagonist":
             wires = np.bincount(side_of_channels(parameters))
             pulled = tuple((preload / (section * wires * modulus)).tolist())
             return cls(stiffness, held / section, lever=(0.5 * length, -0.5 * length), coupled=True,
                        prestretch=pulled, friction=rubs)
         # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e, or
-        # F_0 + F + k (exp(b l e) - 1)/b of one that stiffens by b. Elongation is counted from the
-        # bench at rest, where martensite already bears the load.
+        # F_0 + F + k (exp(b l e) - 1)/b if it stiffens by b. Elongation is counted from the bench
+        # at rest, where the martensite already bears the load.
         held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
         stretch = held / section / (len(parameters["bench.channels"]) * modulus)
         stiffening = parameters["load.stiffening"] * length if stiffness else 0.0
@@ -89,7 +87,7 @@ class Boundary:
                    stiffening=stiffening)
 
     def per_side(self, name: str, sides: int) -> Array:
-        """(s,) of a field; InputError: wrong number of sides, or not finite."""
+        """(s,) values of a field; InputError: wrong number of sides, or not finite."""
         return per_side(f"boundary: {name}", getattr(self, name), sides)
 
     def levers(self, parameters: Parameters) -> Array:
@@ -103,7 +101,7 @@ class Boundary:
 
 
 def moves_tip(parameters: Parameters) -> bool:
-    """Whether the bench shows a deflection to both sides (`tip`), not one wire's elongation."""
+    """True if a tip deflects to both sides; else the deflection is one wire's elongation."""
     return load_kind(parameters) in ("beam", "antagonist")
 
 
@@ -113,11 +111,11 @@ def side_names(parameters: Parameters) -> tuple[str, ...]:
 
 
 def side_of_channels(parameters: Parameters) -> IntArray:
-    """(w,) number of the side of each channel, in the order of `side_names`; not to be changed."""
+    """(w,) index of each channel's side in `side_names`; read-only."""
     return _sides(tuple(parameters["bench.channel_sides"]))[1]
 
 
-@lru_cache(maxsize=64)  # a fit asks some times a simulation
+@lru_cache(maxsize=64)  # called several times per simulation of a fit
 def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
     names = tuple(name for name in SIDE_SIGNS if name in of_channels)
     numbers = np.array([names.index(side) for side in of_channels], np.int64)
@@ -126,7 +124,7 @@ def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
 
 
 def per_side(name: str, value: Any, sides: int) -> Array:
-    """(s,) array of one or s values; InputError: wrong number of these, or not finite."""
+    """(s,) array from one value or s; InputError: another number of values, or one not finite."""
     array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
         raise InputError(f"{name} has shape {array.shape}, expected one or {sides} values")

@@ -7,20 +7,20 @@ A step of length dt at held voltages, for every wire i of every side s:
     xi_i    = the law (laws/, kinetics.py) at T_i, sigma_i
     sum sigma_i = load_s + K_s e_s +- F_s,   or e_s prescribed            (e: contraction)
 
-Dry friction F_s is against the motion; within +-F_s of balance the side stays where it was. Two
-sides that pull on one slider are one equation: the sum of the front's stresses less that of the
-back's, e_back = -e_front.
+Dry friction F_s opposes the motion; within +-F_s of balance the side stays where it was. Two sides
+that pull on one slider give one equation: the front's sum of stresses minus the back's, with
+e_back = -e_front.
 
-A wire's temperature is monotone within the step, so reversals fall on samples. One whose ends are
-moved turns where T - sigma/C_A would, did it only stretch: that is what its phase goes by.
+A wire's temperature is monotone within the step, so reversals fall on samples. A wire whose ends
+are moved reverses where T - sigma/C_A does, as computed for a purely elastic stretch.
 
-All lies in two plain arrays (columns.py): `wires` (w, WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS);
-`i` is a wire, `side` a side. `run` allocates nothing, so no function counts references, and those
-of the innermost loops are compiled into it: together that halves its time.
+Everything is stored in two plain arrays (columns.py): `wires` (w, WIRE_COLUMNS) and `sides` (s,
+SIDE_COLUMNS); `i` is a wire, `side` a side. `run` allocates nothing, so no function counts
+references, and the functions of the innermost loops are inlined: together this halves the time.
 
-Wires and sides that an effect marks take the longer way of a step. A side's regime (wires taut,
-hanging or pushing; passive wires elastic or yielding) and a wire's (at its most austenite so far or
-not) are tried as they were last, and changed where the solution contradicts."""
+Wires and sides that an effect marks take a longer path through a step. The regime of a side (wires
+taut, hanging or pushing; passive wires elastic or yielding) and of a wire (at its largest austenite
+fraction so far or not) starts as in the last step and changes if the solution contradicts it."""
 
 import math
 from functools import reduce
@@ -47,22 +47,22 @@ from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
 from sma_bench.physics.kinetics import NORMAL, close_loops, fraction, reverse
 from sma_bench.physics.laws.normal import push
 
-NEWTON_STEP = 1e-10  # mostly quadratic; where it is slow, 1e-7 left 2.5e-9 of a fraction
-NEWTON_LIMIT = 15
-BISECTION_LIMIT = 200
-BRACKET = 1e-15
-REGIME_LIMIT = 12
-LARGEST_STRAIN = 1e6
+NEWTON_STEP = 1e-10  # of xi and e; with 1e-7, slow convergence left an error of 2.5e-9 in xi
+NEWTON_LIMIT = 15  # iterations
+BISECTION_LIMIT = 200  # iterations
+BRACKET = 1e-15  # width of xi or e at which bisection ends
+REGIME_LIMIT = 12  # changes of regime within a step
+LARGEST_STRAIN = 1e6  # step at which the search for a bracket ends
 MOST_STIFFENED = 100.0  # e-folds of a spring's stiffness; no wire pulls so far
-MOVED = 2.0  # of PRESCRIBED, where ends are not only held
+MOVED = 2.0  # value of PRESCRIBED for moved ends; 1: held ends
 RECORDED = (at.TEMPERATURE, at.FRACTION, at.STRESS, at.READING, at.MOUNT, at.SAG)
-TURN = 0.3  # K, by which what drives the phase goes back before it is no error of an encoder
+TURN = 0.3  # K by which T - sigma/C_A turns back at a reversal; less may be an encoder's error
 
 
-# --- What effects change of a step; a new one's `added_strain` and `after_step` are found here.
+# --- Effects within a step; `added_strain` and `after_step` of every effect's file are found here.
 
 def of_effects(place, both):
-    """The functions called `place` of all effects as one: what is compiled goes through no list."""
+    """One function of those named `place` in all effects: compiled code cannot loop over a list."""
     modules = [import_module(f"sma_bench.physics.effects.{name}") for name in sorted(EFFECTS)]
     return reduce(both, [getattr(module, place) for module in modules if hasattr(module, place)])
 
@@ -75,7 +75,7 @@ after_step = of_effects("after_step", lambda first, second: inlined(
 
 @borrowing
 def heat_balance(wires, i, voltage, step):
-    """Steady temperature [K] of wire i with its surroundings held; sets its decay and lag."""
+    """Steady temperature [K] of wire i in constant surroundings; sets its decay and lag."""
     air = in_plume(wires, i, air_temperature(wires, i))
     heating = power(wires, i, voltage, resistance(wires, i), step)
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
@@ -94,7 +94,7 @@ def heat_balance(wires, i, voltage, step):
 
 @borrowing
 def prepare_side(wires, sides, side, step):
-    """What a side pulls against in the step to come, in the regime that it was last in."""
+    """Set stiffness and load of a side for the coming step, in its last regime."""
     sides[side, at.MATRIX_STIFFNESS] = sides[side, at.OWN_STIFFNESS]
     sides[side, at.MATRIX_LOAD] = sides[side, at.OWN_LOAD]
     if sides[side, at.RELAXATION] + sides[side, at.SPREAD_RELAXATION] > 0.0:
@@ -108,7 +108,7 @@ def prepare_side(wires, sides, side, step):
 
 @borrowing
 def set_regime(sides, side):
-    """Stiffness and load of the beam in this regime, and of what the wires feel of it."""
+    """Set stiffness and load of the beam in this regime, and as its wires feel them."""
     stiffness, load = sides[side, at.MATRIX_STIFFNESS], sides[side, at.MATRIX_LOAD]
     if sides[side, at.ENGAGEMENT] > 0.0:
         passive_stiffness, passive_load = resist(sides, side)
@@ -135,7 +135,7 @@ def bending(sides, side):
 
 @borrowing
 def change_regime(wires, sides, side):
-    """After a solution: take another regime where it contradicts this one; whether it did."""
+    """After a solution: change the regime if the solution contradicts it; True if changed."""
     changed = False
     for i in range(wires.shape[0]):
         changed |= pull_sign(wires, sides, i, side) != 0.0 and passes_most(wires, i)
@@ -159,7 +159,7 @@ def change_regime(wires, sides, side):
 
 @borrowing
 def finish_side(sides, side, step):
-    """Bending of a side after a step, and what relaxes and detwins with it."""
+    """After a step: update the bending of a side, and its relaxation and detwinning."""
     bent = bending(sides, side)
     if sides[side, at.SLIDES] != 0.0:
         sides[side, at.PLAY_TAKEN] = sides[side, at.CONTRACTION] - bent
@@ -173,7 +173,7 @@ def finish_side(sides, side, step):
 
 @borrowing
 def finish_wire(wires, sides, i, fraction_before, step):
-    """Silicone, cycles and reading of wire i after a step."""
+    """After a step: update the states that effects add to wire i, and its reading."""
     if wires[i, at.RETURN_POINT] != 0.0:
         close_loops(wires, i)
     if wires[i, at.LAW] >= orientation.FIRST:
@@ -187,7 +187,7 @@ def finish_wire(wires, sides, i, fraction_before, step):
 
 @borrowing
 def see(wires, sides, i):
-    """Temperature [K] of the spot on wire i, its background included."""
+    """Temperature [K] of an infrared spot on wire i, including its background."""
     bent = sides[0, at.BENDING]
     if sides.shape[0] > 1 and sides[0, at.COUPLED] == 0.0:
         bent -= sides[1, at.BENDING]
@@ -201,7 +201,7 @@ def see(wires, sides, i):
 
 @inlined
 def constitutive(wires, i, contraction, xi):
-    """T, sigma of eq. (6), E and sigma's elastic strain at the end of the step, given xi and e."""
+    """T, sigma (eq. 6), E and elastic strain at the end of the step, given xi and e."""
     temperature = wires[i, at.START] + wires[i, at.LAG] * xi
     modulus = wires[i, at.AUSTENITE_MODULUS] + xi * wires[i, at.MODULUS_CHANGE]
     stretch = wires[i, at.RECOVERABLE_STRAIN] * (1.0 - xi) + wires[i, at.OFFSET] - contraction
@@ -211,7 +211,7 @@ def constitutive(wires, i, contraction, xi):
 
 @inlined
 def residual(wires, i, contraction, xi):
-    """How far xi is from the rule, its slopes in xi and e; sigma, its slope in xi; and E."""
+    """xi minus the law's fraction, its slopes in xi and e; sigma, its slope in xi; and E."""
     temperature, stress, modulus, stretch = constitutive(wires, i, contraction, xi)
     stress_slope = wires[i, at.MODULUS_CHANGE] * stretch - wires[i, at.RECOVERABLE_STRAIN] * modulus
     stress_slope += wires[i, at.EXPANSION] * wires[i, at.LAG]
@@ -222,9 +222,9 @@ def residual(wires, i, contraction, xi):
 
 @inlined
 def solve_wire(wires, i, contraction):
-    """xi at a given contraction, from its guess: Newton within a shrinking bracket."""
+    """xi at a given contraction, starting at GUESS: Newton within a shrinking bracket."""
     xi = wires[i, at.GUESS]
-    low, high = -1.0, 2.0  # beyond 0 and 1, so that a step onto these lies inside
+    low, high = -1.0, 2.0  # wider than 0 to 1, so that a step onto a limit lies inside
     for iteration in range(BISECTION_LIMIT):
         error, slope = residual(wires, i, contraction, xi)[:2]
         step = error / slope if slope > 0.0 else 2.0
@@ -250,7 +250,7 @@ def pull_sign(wires, sides, i, side):
 
 @inlined
 def resisted(sides, side, contraction):
-    """Sum of stresses that a side's load takes at a contraction, and its slope."""
+    """Sum of stresses that balances a side's load at a contraction, and its slope."""
     load, stiffness = sides[side, at.LOAD], sides[side, at.STIFFNESS]
     if sides[side, at.STIFFENING] == 0.0:
         return load + stiffness * contraction, stiffness
@@ -261,7 +261,7 @@ def resisted(sides, side, contraction):
 
 @borrowing
 def solve_jointly(wires, sides, side, contraction):
-    """Newton on the fractions and the contraction of a side together; whether it converged."""
+    """Newton on the fractions and the contraction of a side: (True if converged, contraction)."""
     for _ in range(NEWTON_LIMIT):
         taken, stiffness = resisted(sides, side, contraction)
         imbalance = -taken
@@ -295,7 +295,7 @@ def solve_jointly(wires, sides, side, contraction):
 
 @borrowing
 def side_imbalance(wires, sides, side, contraction):
-    """Sum of stresses beyond what the boundary takes, fractions solved; falls with contraction."""
+    """Sum of stresses minus the load, with fractions solved; decreases with contraction."""
     imbalance = -resisted(sides, side, contraction)[0]
     for i in range(wires.shape[0]):
         sign = pull_sign(wires, sides, i, side)
@@ -307,7 +307,7 @@ def side_imbalance(wires, sides, side, contraction):
 
 @borrowing
 def solve_nested(wires, sides, side, contraction):
-    """Bisection on the contraction, the fractions solved within: slow, sure and seldom needed."""
+    """Bisection on the contraction, solving fractions in each step: slow, safe, seldom needed."""
     low, high, reach = contraction, contraction, 1e-3
     while side_imbalance(wires, sides, side, low) < 0.0 and reach < LARGEST_STRAIN:
         low -= reach
@@ -328,7 +328,7 @@ def solve_nested(wires, sides, side, contraction):
 
 @borrowing
 def turn_by_drive(wires, i, excess):
-    """Turn a wire whose ends are moved when T - sigma/C_A, did it only stretch, has gone back."""
+    """Reverse a wire with moved ends once T - sigma/C_A of an elastic stretch has turned back."""
     modulus = wires[i, at.AUSTENITE_MODULUS] + wires[i, at.FRACTION] * wires[i, at.MODULUS_CHANGE]
     falls = excess * (1.0 - wires[i, at.DECAY])
     falls += modulus * wires[i, at.STRETCHED] * wires[i, at.AUSTENITE_SHIFT]
@@ -340,7 +340,7 @@ def turn_by_drive(wires, i, excess):
 
 @inlined
 def heat(wires, voltage, k, step):
-    """Temperatures at the end of the step, as far as they do not depend on xi; reversals."""
+    """The part of the temperatures at the end of the step that is independent of xi; reversals."""
     for i in range(wires.shape[0]):
         if wires[i, at.HEATED_OTHERWISE] > 0.0:
             steady = heat_balance(wires, i, voltage[k, i], step)
@@ -363,8 +363,8 @@ def heat(wires, voltage, k, step):
 
 @borrowing
 def solve_side(wires, sides, side, start):
-    """Fractions and contraction of a side at the end of the step; how far it contracted. `start`:
-    where it was at the step's beginning, and where it stays if friction holds it."""
+    """Solve fractions and contraction of a side at the end of the step; returns the change of the
+    contraction. `start`: contraction at the start of the step, where friction may hold it."""
     before = sides[side, at.CONTRACTION]
     if sides[side, at.PRESCRIBED] > 0.0:
         for i in range(wires.shape[0]):
@@ -391,7 +391,7 @@ def solve_side(wires, sides, side, start):
 
 @inlined
 def solve(wires, sides):
-    """Fractions, stresses and contractions of all sides at the end of the step."""
+    """Solve the fractions and contractions of all sides at the end of the step."""
     for i in range(wires.shape[0]):
         wires[i, at.GUESS] = min(max(wires[i, at.FRACTION] + wires[i, at.CHANGE], 0.0), 1.0)
     for side in range(sides.shape[0]):
@@ -420,21 +420,21 @@ def settle(wires, sides, step):
         xi, contraction = wires[i, at.GUESS], sides[int(wires[i, at.SIDE]), at.CONTRACTION]
         temperature, stress, _, _ = constitutive(wires, i, contraction, xi)
         wires[i, at.TEMPERATURE], wires[i, at.STRESS] = temperature, stress
-        wires[i, at.STEP] = wires[i, at.FRACTION]  # that before
+        wires[i, at.STEP] = wires[i, at.FRACTION]  # the fraction before the step
         wires[i, at.CHANGE], wires[i, at.FRACTION] = xi - wires[i, at.FRACTION], xi
         wires[i, at.CLOCK] += step
         if wires[i, at.LAW] == NORMAL:
             push(wires, i)
         if wires[i, at.EVOLVES] == 0.0:
             wires[i, at.READING] = temperature
-    for i in range(wires.shape[0]):  # these look at all wires
+    for i in range(wires.shape[0]):  # a second loop: a reading depends on other wires too
         if wires[i, at.EVOLVES] > 0.0:
             finish_wire(wires, sides, i, wires[i, at.STEP], step)
 
 
 @borrowing
 def impose(wires, sides, strain, k):
-    """Move the ends of the wires to where they are at sample k."""
+    """Move the ends of the wires to their positions at sample k."""
     for i in range(wires.shape[0]):
         side = int(wires[i, at.SIDE])
         wires[i, at.STRETCHED] = sides[side, at.CONTRACTION] - strain[0, k, side]
@@ -445,9 +445,9 @@ def impose(wires, sides, strain, k):
 @borrowing
 def run(time, voltage, wires, sides, history, strain):
     """Advance a bench over all samples of one drive, recording it at each. `time`: (n,) s;
-    `voltage`: (n, w) V held from each sample to the next; `wires`, `sides`: of the bench, advanced
-    in place, a TREND of 0 starts a history; `history`: (6, n, w) of RECORDED, and `strain`: (2, n,
-    s) contraction, and the part that bends: written, but for a MOVED contraction, which is read."""
+    `voltage`: (n, w) V held from each sample to the next; `wires`, `sides`: rows of the bench,
+    advanced in place, TREND 0 starts a new history. Written: `history` (6, n, w) of RECORDED and
+    `strain` (2, n, s), contraction and bending; a MOVED contraction is read from `strain`."""
     effects = False
     for i in range(wires.shape[0]):
         effects = effects or wires[i, at.HEATED_OTHERWISE] > 0.0

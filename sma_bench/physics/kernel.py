@@ -1,4 +1,4 @@
-"""The compiled core as Python sees it: state of a bench, rows filled from parameters, calls."""
+"""Python interface of the compiled core: state of a bench, its rows from parameters, calls."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,13 +22,13 @@ from sma_bench.physics.material import heat_loss, heated_resistance, heating_vol
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that a bench's future depends on but voltages: continues a run to the last bit."""
+    """Complete state of a bench: a run that continues from it is the same to the last bit."""
 
     temperature: Array  # (w,) K
     martensite_fraction: Array  # (w,)
     stress: Array  # (w,) Pa
     contraction: Array  # (s,), sides in the order of `side_names`
-    # what the kernel keeps of the history (reversals, last changes)
+    # the kernel's state columns (reversals, last changes); None without a history
     memory: tuple[Array, Array] | None = None
 
     @property
@@ -39,9 +39,9 @@ class State:
 
 def initial_state(parameters: Parameters, *, temperature: ArrayLike | None = None,
                   martensite_fraction: ArrayLike = 1.0, boundary: Boundary | None = None) -> State:
-    """State without history: at rest, or at one or (w,) K (`temperature`) and fractions (0 to 1).
-    `boundary`: the rig's own when not given; it decides stress and contraction. Raises InputError:
-    wrong shape, or a fraction that cannot be at that temperature and stress."""
+    """State without history: at rest, or at `temperature` [K] and fractions (0 to 1), one or (w,).
+    `boundary`: the rig's own when not given; it determines stress and contraction. Raises
+    InputError: wrong shape, or a fraction that is impossible at that temperature and stress."""
     wires = len(parameters["bench.channels"])
     if temperature is None:
         temperature = parameters["environment.ambient_temperature"]
@@ -57,7 +57,7 @@ def initial_state(parameters: Parameters, *, temperature: ArrayLike | None = Non
 
 
 def at_rest(parameters: Parameters, boundary: Boundary | None = None) -> State:
-    """Martensite at ambient temperature, possible or not: if not, it ends with the first step."""
+    """Martensite at ambient temperature; where that is impossible, the first step ends it."""
     boundary, xi = boundary or Boundary.of(parameters), np.ones(len(parameters["bench.channels"]))
     kelvin = np.full(xi.size, parameters["environment.ambient_temperature"])
     if boundary.load == 0.0 == boundary.prestretch and boundary.contraction in (None, 0.0):
@@ -66,7 +66,7 @@ def at_rest(parameters: Parameters, boundary: Boundary | None = None) -> State:
 
 
 def _balanced(kelvin: Array, xi: Array, parameters: Parameters, boundary: Boundary) -> State:
-    """The state with the contraction at which stresses and boundary agree."""
+    """The state with the contraction at which the stresses balance the load."""
     side, sides = side_of_channels(parameters), len(side_names(parameters))
     prestretch = boundary.stretch_of_wires(parameters)
     parameters = orientation.as_oriented(parameters, float(prestretch.mean()))
@@ -85,7 +85,7 @@ def _balanced(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bounda
 
 
 def require_possible(state: State, parameters: Parameters) -> None:
-    """Raises InputError where a fraction cannot be at its temperature and stress."""
+    """Raises InputError where a fraction is impossible at its temperature and stress."""
     kelvin, xi, sigma = state.temperature, state.martensite_fraction, state.stress
     finish = parameters["wire.austenite_finish_temperature"]
     if np.all((xi == 1.0) & (kelvin < finish) & (sigma >= 0.0)):
@@ -116,12 +116,12 @@ _OF_WIRE = {
     "wire.thermal_expansion_factor": [at.EXPANSION, at.EXPANDS],
     "wire.r_phase_strain": [at.R_STRAIN], "wire.r_phase_range": [at.R_RANGE],
 }  # fmt: skip
-# Of each kind of row: columns that hold a number as it is, and those that each effect marks.
+# By kind of row: (column, parameter whose value it holds), and the marks that effects set.
 _NUMBERS: dict[str, list[tuple[int, str]]] = {
     "wire": [(column, n) for n, columns in _OF_WIRE.items() for column in columns], "side": [],
 }  # fmt: skip
 _READ = [at.READING, at.SEEN, at.FAST, at.SLOW, at.EXPOSED, at.EXPOSED_TWICE]
-# (column, number that switches it on, whether it is an effect of this kind of row)
+# (column, parameter that sets it when not 0, whether the effect is of this kind of row)
 _MARKS: dict[str, list[tuple[int, str, bool]]] = {"wire": [], "side": []}
 for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
     for _effect in EFFECTS.values():
@@ -134,7 +134,7 @@ _PLACES = [column for column, _ in _NUMBERS["wire"]]
 
 
 def wire_rows(p: Parameters, boundary: Boundary) -> Array:
-    """(w, WIRE_COLUMNS) constants of every wire; states are 0, but for what a load orients."""
+    """(w, WIRE_COLUMNS) constants of every wire; the states are 0, except ORIENTED."""
     side = side_of_channels(p)
     row = np.zeros(at.WIRE_COLUMNS)
     row[_PLACES] = [p[number] for _, number in _NUMBERS["wire"]]
@@ -178,7 +178,7 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     wires[:, at.SIDE], wires[:, at.PRESTRETCH] = side, boundary.stretch_of_wires(p)
     wires[:, at.ORIENTED] = orientation.at_rest(p, wires[:, at.PRESTRETCH])
     wires[:, at.PRESTRETCH] -= row[at.FULL_STRAIN] * (1.0 - wires[:, at.ORIENTED])
-    if row[at.ACROSS]:  # between unequal numbers of wires: what one side gives, the other gets
+    if row[at.ACROSS]:  # unequal numbers of wires: the heat that one side gives, the other gets
         own = np.bincount(side)[side]
         wires[:, at.ACROSS] *= (side.size - own) / np.maximum(own, side.size - own)
     return wires
@@ -195,7 +195,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
     sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
     sides[:, at.STIFFENING] = boundary.stiffening
-    # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
+    # Only a side that pulls against something elastic can relax or be slack.
     elastic = boundary.contraction is None and not boundary.coupled
     bends = (stiffness > 0.0) & elastic
     for column, number in _NUMBERS["side"]:
@@ -208,7 +208,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides[:, at.GAP] *= sides[:, at.BUCKLED] > 0.0
     sides[:, at.SLACK] += sides[:, at.RUBBING_SLACK]
     for column in (at.SLACK, at.RUBBING_SLACK, at.SOFT_SLACK):
-        sides[load > 0.0, column] = 0.0  # which draws the wires straight
+        sides[load > 0.0, column] = 0.0  # the load pulls the wires straight
     sides[:, at.RUBBING] *= sides[:, at.RUBBING_SLACK] > 0.0
     return sides
 
@@ -233,13 +233,13 @@ def cooled_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Param
     return 1.0 - ramps(temperature, stress, parameters)[1]
 
 
-_AT_ONCE = 1e-6  # s, in which nothing but the balance of stresses changes
+_AT_ONCE = 1e-6  # s, a step in which only the balance of stresses changes
 _SUMS_OF_STRESSES = [at.STIFFNESS, at.LOAD, at.OWN_STIFFNESS, at.OWN_LOAD, at.FRICTION, at.RUBBING]
 
 
 @lru_cache(maxsize=64)
 def _first_of_sides(of_channels: tuple[str, ...]) -> list[int]:
-    """(w,) the first wire of each wire's side; none where sides are of one wire, or unequal."""
+    """(w,) first wire on each wire's side; empty if sides have one wire or unequal numbers."""
     first = [of_channels.index(side) for side in of_channels]
     counts = {first.count(k) for k in first}
     return first if len(counts) == 1 and counts != {1} else []
@@ -278,7 +278,7 @@ class Kernel:
         if self.parameters["wire.law"] == "normal":
             for i in np.flatnonzero(wires[:, at.PLAY] == 0.0):
                 normal.begin(wires[i])
-        # Of effects that may be off by now:
+        # Effects that were on in the initial state may be off now:
         wires[:, at.OFFSET] = wires[:, at.PRESTRETCH]
         sides[sides[:, at.ENGAGEMENT] == 0.0, at.PASSIVE_BENDING] = 0.0
         if self.boundary.contraction is not None:
@@ -287,7 +287,7 @@ class Kernel:
         return wires, sides
 
     def carry_over(self, memory: tuple[Array, Array], most_austenite: Array) -> None:
-        """Rows at rest of wires so austenitic at most (w,) before, with the strain that stayed."""
+        """Put `memory` at rest with the residual strain of an earlier `most_austenite` (w,)."""
         wires, sides = memory
         wires[:, at.MOST_AUSTENITE] = most_austenite
         self.run(np.array([0.0, _AT_ONCE]), np.zeros((2, self.wires)), memory)
@@ -296,8 +296,8 @@ class Kernel:
 
     def run(self, time: Array, voltage: Array, memory: tuple[Array, Array],
             contraction: Array | None = None) -> tuple[Array, Array]:
-        """Advance `memory` in place; history (6, n, w) and strain (2, n, s) as of core.run. Sides
-        that are held stay where they are, or go through `contraction` (n,) from sample 1 on."""
+        """Advance `memory` in place; returns history (6, n, w) and strain (2, n, s) of core.run.
+        Held sides stay where they are, or follow `contraction` (n,) from sample 1 on."""
         wires, sides = memory
         strain = np.empty((2, time.size, len(sides)))
         if self.boundary.contraction is not None:
@@ -307,7 +307,7 @@ class Kernel:
         volts = heating_voltage(voltage, self.parameters)
         of_side = _first_of_sides(tuple(self.parameters["bench.channel_sides"]))
         if of_side and (volts == volts[:, of_side]).all() and (wires == wires[of_side]).all():
-            # One wire stands for all of a side: every sum of stresses is so many times smaller.
+            # Equal wires of a side are simulated as one, sums of stresses divided by their number.
             first = sorted(set(of_side))
             which, share = [first.index(k) for k in of_side], len(first) / self.wires
             few, own = wires[first], np.empty((6, time.size, len(first)))

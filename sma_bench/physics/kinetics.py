@@ -1,19 +1,19 @@
 """The martensite fraction of a wire by its law, compiled: eqs. (10), (11), and the contract's rule
-of incomplete loops. The two ramps are, of the contract's law,
+for incomplete loops. The two ramps of the contract's law are
 
     f = cos^2[pi/2 (T - A_s - sigma/C_A)/(A_f - A_s)],   1 below and 0 above its range,
     g = sin^2[pi/2 (T - M_f - sigma/C_M)/(M_s - M_f)],   0 below and 1 above its range,
 
-and xi_r, f_r, g_r are xi, f, g at the last reversal of the temperature, at the stress of then:
+and xi_r, f_r, g_r are xi, f, g at the last reversal of the temperature, at its stress:
 
     T rising:   xi     = max[xi_r f/f_r,       min(1 - g/g_r, f)]
     T falling:  1 - xi = max[(1 - xi_r) g/g_r, min(1 - f/f_r, g)]
 
 The first terms are the contract's. The second ones matter only when stress moves a range
 against the direction of the temperature (a rising wire whose g falls below g_r), so in any
-history at constant stress they are inactive, whatever the order of the ranges. They keep
-the fraction going continuously to 1 below both ranges and to 0 above both. The second line is
-the first with the phases and the ramps exchanged.
+history at constant stress they are inactive, whatever the order of the ranges. They let
+the fraction go continuously to 1 below both ranges and to 0 above both. The second line is the
+first with the phases and the ramps exchanged.
 
 Three details keep it continuous in every case. xi stays within [0, 1]. Above A_f, where f_r = 0,
 some martensite can be left if M_s lies higher still: then f/f_r is replaced by (1 - g)/(1 - g_r),
@@ -33,18 +33,18 @@ from sma_bench.physics.laws import brinson, cosine, exponential, extended, logis
 
 _, EXPONENTIAL, LOGISTIC, NORMAL, BRINSON, EXTENDED = range(len(LAWS))
 SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
-# Of `wire.transition_spread`, grains whose temperatures are normally distributed, as three groups
-# (Gauss and Hermite's): where the outer ones lie, in deviations; share of each.
+# `wire.transition_spread`: normally distributed grains as three groups (Gauss-Hermite quadrature):
+# distance of the outer groups in deviations, and the share of each of them.
 GRAIN, OUTER = math.sqrt(3.0), 1.0 / 6.0
-# Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
+# `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
 # normal distribution of the same deviation is cut off, in deviations.
 NORMAL_DEVIATION, NORMAL_REACH = math.sqrt(0.25 - 2.0 / math.pi**2), 5.0
-NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
+NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # share of the grains beyond each cut
 
 
 @inlined
 def cosine_ramp(wires, i, position, spread):
-    """Ramp of grains that do not transform alike, and its slope."""
+    """Ramp of the cosine law with its spread, tail and mixture, and its slope."""
     share, slope = cosine.ramp(position)
     if spread > 0.0:
         early, early_slope = cosine.ramp(position + GRAIN * spread)
@@ -63,7 +63,7 @@ def cosine_ramp(wires, i, position, spread):
 
 @borrowing
 def normal_ramp(position, spread):
-    """Ramp of normally distributed grains, 0 to 1, cut off where hardly any are left; its slope."""
+    """Ramp of normally distributed grains, cut off at NORMAL_REACH deviations, and its slope."""
     deviation = math.sqrt(NORMAL_DEVIATION * NORMAL_DEVIATION + spread * spread)
     away = (position - 0.5) / deviation
     if away <= -NORMAL_REACH:
@@ -77,7 +77,7 @@ def normal_ramp(position, spread):
 
 @borrowing
 def any_ramp(wires, i, position, spread):
-    """Ramp of wire i's law, whichever it is, and its slope."""
+    """Ramp of wire i's law, and its slope."""
     law = wires[i, at.LAW]
     if law == EXPONENTIAL:
         return exponential.ramp(position)
@@ -89,15 +89,15 @@ def any_ramp(wires, i, position, spread):
 
 
 @inlined
-def itself(wires, i, stress):
-    """Stress that shifts the range of heating, its slope, the same of cooling: all of it."""
+def baseline_shifting(wires, i, stress):
+    """Stress that shifts the heating range, its slope; the same for cooling: all of the stress."""
     shifts, slope = bent(wires, i, stress)
     return shifts, slope, shifts, slope
 
 
 @borrowing
 def any_shifting(wires, i, stress):
-    """As `itself`, by wire i's law, whichever it is."""
+    """As `baseline_shifting`, for the law of wire i."""
     shifts, slope = bent(wires, i, stress)
     on_f, f_slope, on_g, g_slope = shifts, 1.0, shifts, 1.0
     if wires[i, at.LAW] == BRINSON:
@@ -109,18 +109,18 @@ def any_shifting(wires, i, stress):
 
 @inlined
 def positions(wires, i, temperature, on_f, on_g):
-    """Where T lies on the ramps f and g, by the stresses that shift these."""
+    """Positions of T on the ramps f and g, which the stresses on_f and on_g shift."""
     of_f = wires[i, at.AUSTENITE_FINISH] - temperature + on_f * wires[i, at.AUSTENITE_SHIFT]
     of_g = temperature - on_g * wires[i, at.MARTENSITE_SHIFT] - wires[i, at.MARTENSITE_FINISH]
     return of_f * wires[i, at.AUSTENITE_SLOPE], of_g * wires[i, at.MARTENSITE_SLOPE]
 
 
 def rule_of(ramp, shifting):
-    """The rule of above for a law's ramp, and the stresses by which its ranges shift."""
+    """The rule in the docstring above, for a law's ramp and the stresses that shift its ranges."""
 
     @inlined
     def phase_left(wires, i, own, other, own_spread, other_spread):
-        """What is left of the phase that vanishes, its slopes along both positions."""
+        """Fraction left of the vanishing phase, and its slopes along both positions."""
         phase, own_reversed = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
         other_reversed = wires[i, at.OTHER_REVERSED]
         share, share_slope = ramp(wires, i, own, own_spread)
@@ -135,13 +135,13 @@ def rule_of(ramp, shifting):
                 of_grains, by_share = partial.left_of_grains(phase, share, own_reversed, memory)
                 left += of_grains - share * scale
                 by_own += (by_share - scale) * share_slope
-                if left > phase and share < own_reversed:  # with a return point beside it
+                if left > phase and share < own_reversed:  # if a return point is on too
                     left, by_own = phase, 0.0
         elif phase > 0.0 and other_reversed < 1.0:
             scale = phase / (1.0 - other_reversed)
             rest, rest_slope = ramp(wires, i, other, other_spread)
             left, by_other = (1.0 - rest) * scale, -rest_slope * scale
-        # The other ramp's sine is spared unless stress has moved that ramp back.
+        # The other ramp is computed only if stress has moved it back.
         if other < wires[i, at.OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
             rest, rest_slope = ramp(wires, i, other, other_spread)
             bound = 1.0 - rest / other_reversed
@@ -157,7 +157,7 @@ def rule_of(ramp, shifting):
         on_f, f_slope, on_g, g_slope = shifting(wires, i, stress)
         of_f, of_g = positions(wires, i, temperature, on_f, on_g)
         f_spread, g_spread = wires[i, at.AUSTENITE_SPREAD], wires[i, at.MARTENSITE_SPREAD]
-        # One call, as all this is compiled into every loop that solves for xi.
+        # A single call, because it is inlined into every loop that solves for xi.
         rising = wires[i, at.TREND] > 0.0
         own, other, own_spread, other_spread = of_f, of_g, f_spread, g_spread
         if not rising:
@@ -174,12 +174,13 @@ def rule_of(ramp, shifting):
     return by_rule
 
 
-by_cosine, by_any_ramp = rule_of(cosine_ramp, itself), rule_of(any_ramp, any_shifting)
+by_cosine = rule_of(cosine_ramp, baseline_shifting)
+by_any_ramp = rule_of(any_ramp, any_shifting)
 
 
 @borrowing
 def of_other_law(wires, i, temperature, stress):
-    """As `fraction`, of a law that is not the baseline's."""
+    """As `fraction`, for a law other than the baseline's."""
     if wires[i, at.LAW] == NORMAL:
         return normal.fraction(wires, i, temperature, stress)
     return by_any_ramp(wires, i, temperature, stress)
@@ -187,7 +188,7 @@ def of_other_law(wires, i, temperature, stress):
 
 @inlined
 def fraction(wires, i, temperature, stress):
-    """xi of wire i, d xi/dT, d xi/d sigma; only the baseline is compiled into innermost loops."""
+    """xi of wire i, d xi/dT, d xi/d sigma; only the baseline is inlined into innermost loops."""
     if wires[i, at.LAW] != 0.0:
         return of_other_law(wires, i, temperature, stress)
     return by_cosine(wires, i, temperature, stress)
@@ -195,7 +196,7 @@ def fraction(wires, i, temperature, stress):
 
 @inlined
 def ramps(wires, i, temperature, stress):
-    """f and g of wire i, and where it lies on them."""
+    """f and g of wire i, and its positions on them."""
     on_f, _, on_g, _ = any_shifting(wires, i, stress)
     of_f, of_g = positions(wires, i, temperature, on_f, on_g)
     f = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
@@ -228,6 +229,6 @@ def reverse(wires, i, trend):
 
 @borrowing
 def close_loops(wires, i):
-    """After a step: forget the loops that wire i has run out of."""
+    """After a step: forget the inner loops that wire i has left."""
     f, g, _, _ = ramps(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
     partial.forget_closed(wires, i, g if wires[i, at.TREND] < 0.0 else f)

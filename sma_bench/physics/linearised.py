@@ -1,8 +1,8 @@
-"""The linearised model, eqs. (18) to (23) as they are meant, about any steady state of a rig; and
-the model of one side turned round: the temperature at which its wires contract as wanted.
+"""The linearised model, eqs. (18) to (23) corrected, about any steady state of a rig; and the
+inverse model of one side: the temperature at which its wires reach a given contraction.
 
-The states are the wires' temperatures; everything else follows from them at once. What it changes
-by per kelvin, the simulated bench says itself, led through temperatures along the branch:
+The states are the wires' temperatures; everything else follows from them without delay. Its change
+per kelvin is measured on the simulated bench, driven through temperatures along the branch:
 
     m c_p dT_i/dt = -h A_c T_i + (2 V_i*/R) v_i + m Delta_h dxi_i/dt                      (1), (19)
 
@@ -34,19 +34,19 @@ from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 Branch = Literal["heating", "cooling"]
 BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load.friction",
           "load.stiffening")
-_AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
-# Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
+_AUSTENITE = 1000.0  # K, at which a wire is austenite under any stress that it can have
+# By branch: temperatures between which its ramp changes (lower, upper), and C [Pa/K].
 _RANGES: dict[Branch, tuple[str, str, str]] = {
     "heating": (TRANSITIONS["A_s"], TRANSITIONS["A_f"], "wire.stress_influence_austenite"),
     "cooling": (TRANSITIONS["M_f"], TRANSITIONS["M_s"], "wire.stress_influence_martensite"),
 }
-_STEP = 0.02  # K; of the two halvings that take the curvature out, too
-_NO_TANGENT = 0.3  # of a fraction's change: where half the step differs so much, there is a snap
+_STEP = 0.02  # K of the finite differences; halved twice to cancel the curvature
+_NO_TANGENT = 0.3  # relative change of a slope when the step is halved: more is a jump
 
 
 @dataclass(frozen=True)
 class SideModel:
-    """n equal wires that pull together against a boundary that gives. Along a branch xi = s f
+    """n equal wires that pull together against a load that moves. Along a branch xi = s f
     (heating) or 1 - xi = s g (cooling), f, g of kinetics.py, s constant between reversals."""
 
     parameters: Parameters  # of the wires
@@ -58,8 +58,8 @@ class SideModel:
 
     @classmethod
     def of(cls, parameters: Parameters, side: str, state: State | None = None) -> Self:
-        """The wires of `side` against the rig's own load; of antagonists the other side pulls back
-        as in `state`, else as cold martensite. InputError: no wire on that side, or fixed ends."""
+        """The wires of `side` against the rig's own load; an antagonist pulls back as in `state`,
+        or as cold martensite if None. InputError: no wire on that side, or fixed ends."""
         names = side_names(parameters)
         if side not in names:
             raise InputError(f"no wire on the {side}, expected {' or '.join(names)}")
@@ -70,7 +70,7 @@ class SideModel:
             float(boundary.per_side(name, len(names))[number])
             for name in ("stiffness", "load", "lever", "prestretch"))
         own = side_of_channels(parameters) == number
-        if boundary.coupled:  # what it contracts stretches the others: stiffness and load are added
+        if boundary.coupled:  # its contraction stretches the other side: add its stiffness and load
             now = state or at_rest(parameters, boundary)
             xi, kelvin = now.martensite_fraction[~own], now.temperature[~own]
             stretch = boundary.stretch_of_wires(parameters)[~own]
@@ -86,23 +86,23 @@ class SideModel:
         return wire_rows(self.parameters, Boundary())[:1]
 
     def wire_stress(self, contraction: float) -> float:
-        """sigma [Pa] of one wire that the boundary asks for at a contraction."""
+        """sigma [Pa] of one wire that balances the load at a contraction."""
         return (self.load + self.stiffness * contraction) / self.wires
 
     def excess(self, contraction: float, temperature: float, xi: float) -> float:
-        """Stress [Pa] of a wire beyond what the boundary asks for."""
+        """Stress [Pa] of a wire minus the stress that balances the load."""
         shorter = contraction - self.prestretch
         pull = float(material.stress(temperature, xi, shorter, self.parameters))
         return pull - self.wire_stress(contraction)
 
     def share(self, temperature: float, sigma: float, xi: float, branch: Branch) -> float:
-        """s of the branch that leaves from a state; 1 where the ramp is 0 and any would do."""
+        """s of the branch that starts at a state; 1 where the ramp is 0, so that any s fits."""
         ramp = float(ramps(temperature, sigma, self.parameters)[branch == "cooling"])
         return (xi if branch == "heating" else 1.0 - xi) / ramp if ramp > 0.0 else 1.0
 
     def at_contraction(self, contraction: float, branch: Branch,
                        share: float = 1.0) -> tuple[float, float]:
-        """T [K] and xi at a contraction along a branch; beyond it its end, before it cold."""
+        """T [K] and xi at a contraction along a branch, or its hot or cold end if out of reach."""
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
         heating, stress = branch == "heating", self.wire_stress(contraction)
         shift = kinetics.any_shifting(self._wire, 0, stress)[0 if heating else 2] / influence
@@ -132,13 +132,13 @@ class SideModel:
         """e at which the wires, heated, have just become austenite: T = A_f + sigma/C_A."""
         _, finish, influence = (self.parameters[name] for name in _RANGES["heating"])
         none, whole = (self.excess(e, finish + self.wire_stress(e) / influence, 0.0)
-                       for e in (0.0, 1.0))  # of a straight line
+                       for e in (0.0, 1.0))  # the excess is linear in e
         return none / (none - whole)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OperatingPoint(State):
-    """A steady state, without history, and the direction of the change to come."""
+    """A steady state, without history, and the direction of the next change."""
 
     parameters: Parameters
     boundary: Boundary
@@ -189,8 +189,8 @@ class OperatingPoint(State):
     @classmethod
     def at_deflection(cls, parameters: Parameters, deflection: float | None,
                       branch: Branch) -> Self:
-        """On the full loop at a deflection [m], half of the first side's largest when None: its
-        side driven evenly, the other at rest; InputError: no bending, no wires there, too far."""
+        """On the full loop at a deflection [m] (None: half of the first side's largest), one side
+        heated evenly, the other at rest; InputError: fixed ends, no wires there, too far."""
         first = side_names(parameters)[0]
         name = first if deflection is None else side_toward(parameters, deflection)
         side = SideModel.of(parameters, name)
@@ -207,8 +207,8 @@ class OperatingPoint(State):
 
 
 def side_toward(parameters: Parameters, deflection: float) -> str:
-    """The side whose wires deflect the bench that way [m]; of a beam whether they are there or not;
-    InputError: a wire with a load was to become longer."""
+    """The side whose wires deflect the bench in this direction [m], for a tip even if it has none;
+    InputError: a wire with a load would have to become longer."""
     names, boundary = side_names(parameters), Boundary.of(parameters)
     levers = boundary.levers(parameters) * deflection
     if np.any(levers > 0.0):
@@ -233,7 +233,7 @@ class Linearised:
     """First-order change of everything per kelvin of each wire, and the temperatures' dynamics."""
 
     point: OperatingPoint  # where
-    latent_heat: float  # J/kg, as it was linearised with
+    latent_heat: float  # J/kg, used in the linearisation
     fraction_per_kelvin: Array  # (w, w) 1/K, row: wire that changes, column: wire that warms
     stress_per_kelvin: Array  # (w, w) Pa/K
     contraction_per_kelvin: Array  # (s, w) 1/K
@@ -265,7 +265,7 @@ class Linearised:
         return StateSpace(-lightness / material.time_constant(parameters), b, c, d)
 
     def deflection_per_volt(self) -> Array:
-        """(w,) m/V, steady: what a lasting change of each voltage leads to."""
+        """(w,) m/V: steady change of the deflection per change of each voltage."""
         parameters = self.point.parameters
         heating = material.power_per_volt(self.point.voltage, parameters)
         return self.deflection_per_kelvin * heating / material.heat_loss(parameters)
@@ -279,8 +279,8 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
     beyond += [f"{n} is {parameters[n]}" for n in BEYOND if parameters[n] != BY_NAME[n].default]
     if beyond:
         raise InputError(f"linearisation: {beyond[0]}, expected eqs. (4), (10), (11) as they are")
-    # All wires move at once, each the way of the branch, lest one is taken to have turned; what
-    # has cooled to the air can only warm. A row a direction, one wire more than the others.
+    # All wires move at once in the branch's direction, so that none counts as reversed; a wire at
+    # the temperature of the air can only warm. In each row of `ways` one wire moves further.
     wires = start.temperature.size
     rise = start.temperature - parameters["environment.ambient_temperature"]
     way = np.where((point.branch == "cooling") & (rise > 2.0 * _STEP), -1.0, 1.0)
@@ -288,7 +288,7 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
     bench = TemperatureDriven(parameters, start, point.boundary)
 
     def change(step: float) -> Array:
-        """(w, 2 w + s) change of fractions, stresses and contractions over the step, by way."""
+        """(w, 2 w + s) change of fractions, stresses, contractions over the step, per direction."""
         rows, changing = [], ("martensite_fraction", "stress", "contraction")
         for direction in ways:
             bench.begin(start)

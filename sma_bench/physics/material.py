@@ -46,8 +46,8 @@ def stress(temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: 
 def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
             sag: ArrayLike = 0.0) -> Array:
     """I = n (V - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by u
-    [V]; eq. (3) with all effects off. `voltage`: as read or commanded, any shape; a source of
-    current holds it whatever the resistance, one of power sqrt(P/R); of a duty it is the mean."""
+    [V]; eq. (3) with all effects off. `voltage`: as read or commanded, any shape; mean of a duty.
+    A source of current keeps n V/R, one of power n V^2/R [W], whatever the resistance."""
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     names = ("austenite_change", "hump", "temperature_coefficient", "martensite_coefficient")
     change, hump, growth, of_martensite = (parameters[f"effect.phase_dependent_resistance.{name}"]
@@ -71,9 +71,9 @@ def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, 
 
 
 def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
-    """Volts whose square heats as the drive does, of commanded V, any shape: of a duty the mean,
-    duty times `bench.supply_voltage`; of a source of current that times `wire.resistance /
-    wire.count`, of one of power the root of that product."""
+    """Direct voltage with the same heat as a command [V], any shape. Commands: with duty the mean,
+    duty times `bench.supply_voltage`; with a source of current, the current times R/n (R, n:
+    `wire.resistance`, `wire.count`); with a source of power, sqrt(power R/n)."""
     volts = np.asarray(voltage, dtype=np.float64)
     if parameters["bench.drive"] == "duty":
         return np.sqrt(np.maximum(volts, 0.0) * parameters["bench.supply_voltage"])
@@ -81,7 +81,7 @@ def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
 
 
 def commanded_voltage(volts: ArrayLike, parameters: Parameters) -> Array:
-    """Inverse of `heating_voltage`: the command that heats as direct `volts` do."""
+    """Inverse of `heating_voltage`: the command with the same heat as direct `volts`."""
     direct = np.asarray(volts, dtype=np.float64)
     if parameters["bench.drive"] == "duty":
         return np.square(direct) / parameters["bench.supply_voltage"]
@@ -98,8 +98,8 @@ def power_per_volt(voltage: ArrayLike, parameters: Parameters) -> Array:
 
 def direct_reading(parameters: Parameters, voltage: ArrayLike,
                    current: ArrayLike) -> tuple[Array, Array]:
-    """What a record holds of a drive of V and A (of a duty the means; any shape): the direct
-    voltage and current of the same heat, whose quotient is the resistance."""
+    """Voltage and current of a record, from those of the drive (any shape; means of a duty):
+    direct ones with the same heat, whose quotient is the resistance."""
     mean, amperes = (np.asarray(a, dtype=np.float64) for a in (voltage, current))
     if parameters["bench.drive"] == "power":
         watts = np.square(mean) * parameters["wire.count"] / parameters["wire.resistance"]
@@ -109,7 +109,7 @@ def direct_reading(parameters: Parameters, voltage: ArrayLike,
 
 
 def heated_resistance(parameters: Parameters) -> float:
-    """V^2 over the heat of one wire [ohm], where the voltage is that before the leads."""
+    """V^2 over the heat of one wire [ohm], where the voltage is measured before the leads."""
     wire = float(parameters["wire.resistance"])
     leads = float(parameters["wire.count"] * parameters["bench.lead_resistance"])
     if leads == 0.0 or parameters["bench.drive"] in SOURCES:
@@ -137,12 +137,12 @@ def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
 #
 #     h A_c = C [(x^2 + 2^2)/(60^2 + 2^2)]^(n/2) + e s A_c (T + T_inf)(T^2 + T_inf^2)
 #
-# x = T - T_inf in K, rounded within 2 K; n by the wire's diameter (parameters/parameters.py); e =
-# 0.4, s Stefan and Boltzmann's constant. C is what is left of `wire.heat_transfer_coefficient` A_c,
-# which holds 60 K above ambient. Source: Churchill and Chu 1975; Morgan 1975: n 0.15 if as thin.
+# x = T - T_inf in K, smoothed within 2 K of 0; n by the wire's diameter (parameters/parameters.py);
+# e = 0.4; s: Stefan-Boltzmann constant. `wire.heat_transfer_coefficient` is h 60 K above ambient, C
+# what radiation leaves of it. Source: Churchill and Chu 1975; Morgan 1975 (n = 0.15 if as thin).
 
-_ROUNDED = 2.0  # K
-_MOST = 0.9  # of a small coefficient, that radiation can be
+_ROUNDED = 2.0  # K, smoothing of the excess near 0
+_MOST = 0.9  # largest share of h that is radiation, if h is stated small
 
 
 def note_free(row: Array, p: Parameters) -> None:

@@ -24,14 +24,14 @@ from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible
 
 @dataclass(eq=False, repr=False)
 class Readings:
-    """What follows from the states of a bench: of one instant, or of many along a first axis.
+    """Signals that follow from a bench's states, at one instant or at many (along a first axis).
 
     `temperature`: (..., w) K; `martensite_fraction`: (..., w); `stress`: (..., w) Pa;
     `contraction`: (..., s), -(eps - eps_0) of each side, in the order of `side_names`; `bending`:
-    (..., s), what of it bends the beam: all of it, unless the wires hang (slack);
+    (..., s), the part that bends the beam: all of it, unless wires are slack or opposed;
     `temperature_reading`: (..., w) K, the temperature, unless effects of the sensor are on;
-    `mount`: (..., w) K, by which each wire has warmed the mount of the deflection's sensor; `sag`:
-    (..., w) V, by which each channel's battery has given way; `clock`: s since the bench's start.
+    `mount`: (..., w) K, warming of the deflection sensor's mount by each wire (they are averaged);
+    `sag`: (..., w) V, voltage drop of each channel's battery; `clock`: s since the bench's start.
     """
 
     parameters: Parameters
@@ -48,7 +48,7 @@ class Readings:
 
     @property
     def deflection(self) -> Any:
-        """(...) m, positive toward the front; a moving wire's elongation; 0 where none moves."""
+        """(...) m, positive toward the front; a loaded wire's elongation; 0 if fixed."""
         return self.bending @ self.boundary.levers(self.parameters)
 
     @property
@@ -70,7 +70,7 @@ class Readings:
 
 @dataclass(eq=False, repr=False)
 class Simulation(Readings, Drawn):
-    """What a bench does under given voltages: `Readings` of n samples at `time` (n,) s; `voltage`:
+    """Response of a bench to given voltages: `Readings` of n samples at `time` (n,) s; `voltage`:
     (n, w) V, held from each sample to the next; `final`: the state after the last sample, for a
     simulation that continues; `started`: s, the bench's clock at the first sample."""
 
@@ -91,7 +91,7 @@ class Simulation(Readings, Drawn):
 
     @property
     def most_austenite(self) -> Array:
-        """(w,) largest share of austenite so far, less what residual strain has crept back."""
+        """(w,) largest austenite fraction so far, reduced as residual strain recovers."""
         assert self.final.memory is not None
         return self.final.memory[0][:, at.MOST_AUSTENITE - at.WIRE_STATE]
 
@@ -105,12 +105,12 @@ class Simulation(Readings, Drawn):
 def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
              initial: State | None = None, boundary: Boundary | None = None,
              elongation: ArrayLike | None = None) -> Simulation:
-    """Solve the baseline model (contract section 4) with the law and effects that are named.
+    """Solve the baseline model (contract section 4) with the law and effects of `parameters`.
 
     Temperatures are exact for the held voltages; phase, stress and contraction are solved together
-    at every sample. With latent heat the rate of transformation is constant over a step; what other
-    effects depend on is taken from its start. InputError: wrong shape, time that does not increase,
-    a number that is not finite, an elongation that another load decides, or, with no `initial`, a
+    at every sample. With latent heat the rate of transformation is constant over a step; the inputs
+    of other effects are those at its start. InputError: wrong shape, time that does not increase, a
+    number that is not finite, an elongation with another `load.kind`, or, with no `initial`, a
     bench that is too warm at rest for martensite.
 
     Args:
@@ -119,8 +119,8 @@ def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
             One wire may come as (n,).
         initial: state at time[0], at rest when not given; `Simulation.final` continues a run.
         boundary: the rig's own load when not given.
-        elongation: (n,) m that is imposed under `load.kind` displacement, even between samples; 0
-            when not given."""
+        elongation: (n,) m imposed with `load.kind` displacement, linear between samples; 0 when
+            not given."""
     if elongation is not None and boundary is None and np.size(elongation):
         boundary = Boundary.imposed(parameters, float(np.ravel(elongation)[0]))
     return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage, elongation)
@@ -128,25 +128,25 @@ def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
 
 def simulate_from_rest(parameters: Parameters, time: Array, voltage: Array, boundary: Boundary,
                        most_austenite: Array | None = None) -> Simulation:
-    """As `simulate`, of a bench at rest, possible or not, and of arrays known to be right (fits).
-    `most_austenite` (w,): how far its wires have transformed before, not at all when not given."""
+    """As `simulate`, for fits: from rest even where martensite is impossible, arrays unchecked.
+    `most_austenite` (w,): largest austenite fraction before the start; 0 when not given."""
     kernel = Kernel(parameters, boundary)
     memory = kernel.memory(None)
     if most_austenite is not None:
         kernel.carry_over(memory, most_austenite)
-    courses = kernel.run(time, voltage, memory)
-    return _simulated(kernel, time, voltage, courses, kernel.state(memory), 0.0)
+    recorded = kernel.run(time, voltage, memory)
+    return _simulated(kernel, time, voltage, recorded, kernel.state(memory), 0.0)
 
 
-def _simulated(kernel: Kernel, time: Array, voltage: Array, courses: tuple[Array, Array],
+def _simulated(kernel: Kernel, time: Array, voltage: Array, recorded: tuple[Array, Array],
                final: State, started: float) -> Simulation:
-    history, strain = courses
+    history, strain = recorded
     rest: Any = (*history[:3], *strain, *history[3:], time, voltage, final, started)
     return Simulation(kernel.parameters, kernel.boundary, *rest)
 
 
 def run_once() -> None:
-    """Two steps of the default bench, for which the core is compiled or read from the disk."""
+    """Simulate two steps of the default bench, so that the core is compiled or read from disk."""
     bench = Parameters.defaults()
     simulate(bench, [0.0, 0.05, 0.1], np.ones((3, len(bench["bench.channels"]))))
 
@@ -163,7 +163,7 @@ def _checked(name: str, given: ArrayLike, expected: tuple[int, ...]) -> Array:
 
 
 class Bench(Readings):
-    """The same bench stepped live, with the readings of now."""
+    """A bench simulated live, step by step, with its present readings."""
 
     state: State  # the present one, to carry into another Bench or `simulate`
 
@@ -178,8 +178,8 @@ class Bench(Readings):
         self._settle()
 
     def advance(self, voltage: ArrayLike, dt: float, elongation: float | None = None) -> State:
-        """Hold `voltage` (w,) V for `dt` s, to an imposed elongation [m] or as it was: the state.
-        InputError: wrong shape, not finite, dt not above 0, an elongation that the load decides."""
+        """Hold `voltage` (w,) V for `dt` s, moving to `elongation` [m] or as it was; returns the
+        state. InputError: wrong shape, not finite, dt not above 0, elongation with another load."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
         volts = _checked("voltage", np.asarray(voltage, float)[np.newaxis], (1, self._kernel.wires))
@@ -195,7 +195,7 @@ class Bench(Readings):
 
     def follow(self, time: ArrayLike, voltage: ArrayLike,
                elongation: ArrayLike | None = None) -> Simulation:
-        """Go on over samples as `simulate` takes them, the first that of the present state."""
+        """Continue over samples as in `simulate`; the first sample is the present state."""
         seconds, volts = np.asarray(time, dtype=float), np.asarray(voltage, dtype=float)
         if seconds.ndim != 1 or seconds.size == 0:
             raise InputError(f"simulation: time has shape {seconds.shape}, expected (n,)")
@@ -209,11 +209,11 @@ class Bench(Readings):
             raise InputError(f"simulation: time goes {goes}, expected increasing")
         started = float(self.clock)
         moved = None if elongation is None else self._contraction(elongation, seconds.size)
-        courses = self._kernel.run(seconds, volts, self._memory, moved)
-        return _simulated(self._kernel, seconds, volts, courses, self._settle(), started)
+        recorded = self._kernel.run(seconds, volts, self._memory, moved)
+        return _simulated(self._kernel, seconds, volts, recorded, self._settle(), started)
 
     def pull_against(self, boundary: Boundary) -> None:
-        """Go on under another load."""
+        """Continue under another load."""
         self._kernel = Kernel(self.parameters, boundary)
         self._memory = self._kernel.memory(self.state)
         self.boundary = boundary
@@ -239,11 +239,11 @@ class Bench(Readings):
         return now
 
 
-# --- Wires that pass through given temperatures: one without heat capacity is, at the end of every
-# step, where its heating settles it, so a heating is chosen that settles it as wanted.
+# --- Wires driven through given temperatures: a wire without heat capacity reaches its steady
+# temperature within a step, so the heating is chosen that has the given one as steady temperature.
 
 _NO_TIME = 1e-9  # s, time constant of such a wire
-_RAMP_STEP = 1e-3  # s
+_RAMP_STEP = 1e-3  # s, between samples of a ramp
 
 
 class TemperatureDriven:
@@ -251,7 +251,7 @@ class TemperatureDriven:
 
     def __init__(self, parameters: Parameters, initial: State | None = None,
                  boundary: Boundary | None = None) -> None:
-        """At rest, or in the state `initial`; effects on the heating are left out."""
+        """At rest, or in the state `initial`; electrical and thermal effects are switched off."""
         plain = {p.name: p.default for effect in EFFECTS.values()
                  if effect.stage in ("electrical", "thermal") for p in effect.parameters}
         plain |= {"bench.drive": "voltage", "bench.lead_resistance": 0.0}
@@ -263,12 +263,12 @@ class TemperatureDriven:
         self._ambient = float(parameters["environment.ambient_temperature"])
 
     def begin(self, initial: State | None) -> None:
-        """Be at rest again, or in the state `initial`."""
+        """Return to rest, or to the state `initial`."""
         self._memory = self._kernel.memory(initial)
 
     def run(self, time: ArrayLike, temperature: ArrayLike) -> tuple[Array, Array]:
-        """Pass through temperatures (n, w) K, ambient at least, at times (n + 1,) s, the first that
-        of the present state; deflection (n,) m, 0 where none bends, and force (n, w) N as read."""
+        """Go through temperatures (n, w) K, at least ambient, at times (n + 1,) s, the first the
+        present; readings of deflection (n,) m, 0 if fixed, and force (n, w) N."""
         seconds, kelvin = np.asarray(time, dtype=float), np.asarray(temperature, dtype=float)
         clock = float(self._memory[0][0, at.CLOCK])
         volts = np.sqrt(np.maximum(kelvin - self._ambient, 0.0))
@@ -280,13 +280,13 @@ class TemperatureDriven:
 
     @property
     def state(self) -> State:
-        """The present state, from which another bench may go on."""
+        """The present state, from which another bench may continue."""
         return self._kernel.state(self._memory)
 
 
 def warmed_from_rest(parameters: Parameters, temperature: Array, boundary: Boundary | None = None,
                      by_way_of: float | None = None) -> State:
-    """The state of a bench heated from rest to (w,) K, ambient at least; first to `by_way_of` K."""
+    """The state of a bench led from rest to (w,) K, at least ambient, by way of `by_way_of` K."""
     start = np.full_like(temperature, parameters["environment.ambient_temperature"])
     bench, share = TemperatureDriven(parameters, None, boundary), np.linspace(0.0, 1.0, 201)
     ends = [np.maximum(temperature, start)]

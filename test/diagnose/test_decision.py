@@ -18,7 +18,7 @@ from sma_bench.diagnose.decision import (
     verdict_of,
 )
 from sma_bench.diagnose.diagnosis import stages_of
-from sma_bench.diagnose.next_experiment import Telling, prospect
+from sma_bench.diagnose.next_experiment import Separation, prospect
 from sma_bench.diagnose.sizes import Facts, Weighed
 from sma_bench.parameters.parameter import TRANSITIONS
 
@@ -167,14 +167,14 @@ def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_fir
 # --- What an experiment would settle.
 
 
-def after(tellings, **gains):
+def after(separations, **gains):
     """Prospect of an experiment on effects that gain so much."""
-    return prospect(utilities(gains), probabilities(gains), tellings)
+    return prospect(utilities(gains), probabilities(gains), separations)
 
 
 def apart(distance, *names):
-    telling = Telling(0.5 * distance**2, distance)
-    return {(a, b): telling for a in names for b in names if a != b}
+    separation = Separation(0.5 * distance**2, distance)
+    return {(a, b): separation for a in names for b in names if a != b}
 
 
 BOTH = ("slack", "residual_strain")

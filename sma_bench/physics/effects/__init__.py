@@ -1,7 +1,7 @@
-"""What the paper's model leaves out, one effect a file; each is off until its numbers are set.
+"""Effects that the paper's model leaves out, one per file; each is off until its numbers are set.
 
 An effect's numbers (parameters/effects.yaml) are ordinary parameters, which every simulation, node
-and file takes:
+and file accepts:
 
     parameters = with_effect(parameters, "side_heat_coupling", 0.01)
     simulate(parameters, time, voltage).temperature_reading"""
@@ -15,8 +15,8 @@ from sma_bench.parameters.parameters import Parameters, idle_effects, unknown_pa
 
 
 def with_effect(parameters: Parameters, name: str, size: Any) -> Parameters:
-    """Parameters with an effect on. `name`: of the effect, or `effect.number` for another number
-    than its size; `size`: in the table's unit. InputError: unknown, no number, or another load."""
+    """Parameters with an effect on. `name`: the effect, or `effect.number` for a number other than
+    its size; `size`: in the table's unit. InputError: unknown, not a number, or idle here."""
     effect_name, _, number = name.partition(".")
     if (effect := EFFECTS.get(effect_name)) is None:
         message = unknown_parameter_message(effect_name, EFFECTS)

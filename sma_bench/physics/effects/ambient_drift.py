@@ -2,16 +2,16 @@
 
     T_inf(t) = T_inf + b t + d t^2 + g [exp(-s/t_f) - exp(-s/t_r)],    s = t - t_g >= 0, t_r = 2 s
 
-The parameter `environment.ambient_temperature` is that of the start. Source: a room, an enclosure
-that warms; two terms of its series. A gust (a door, a fan, a room that settles): what two heat
-capacities do after one event."""
+`environment.ambient_temperature` is T_inf at the start. b, d: first two terms of a series for a
+room or enclosure that warms. g: a gust at t_g (a door, a fan), which rises with t_r and fades with
+t_f. Source: assumed; a gust has the response of two heat capacities to one event."""
 
 import math
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-_RISE = 2.0  # s
+_RISE = 2.0  # s, t_r
 
 
 @borrowing

@@ -1,15 +1,15 @@
-"""Silicone around the wire that warms up with it.
+"""Silicone around the wire (temperature E) and a clamp (K), which warm with it.
 
     m c_p dT/dt = ... - G (T - E),    C_e dE/dt = G (T - E) - G_a (E - T_inf) [- G_c (E - E_other)]
 
-A clamp takes heat too, off the wire or, where there is any, the silicone:
+A clamp takes heat from the wire or, if there is silicone, from that:
 
     ... - G_k (T - K),    t_k dK/dt = T - K
 
-G and G_a in series are the paper's h A_c, so that steady temperatures stay. `inner_share` is the
-share of 1/(h A_c) that is 1/G. With heat coupling between the sides, the silicone carries it; an h
+G and G_a in series equal the paper's h A_c, so that steady temperatures do not change. 1/G is the
+share `inner_share` of 1/(h A_c). Heat coupling between the sides passes through the silicone; an h
 that depends on temperature acts on G_a. Source: two-node model of a wire in an elastomer, solved
-exactly over a step in which heat, air and the other side's silicone stay."""
+exactly for constant heat, air and opposite silicone during a step."""
 
 import math
 
@@ -17,19 +17,19 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.latent_heat import latent_rise
 
-_LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range
+_LEAST = 1e-9  # J/K; less has no effect, but rates out of range
 
 
 @borrowing
 def warmed(wires, i, step):
-    """Share of the way to a held temperature that the clamp goes in a step."""
+    """Share of the difference to a constant temperature that the clamp covers in a step."""
     return -math.expm1(-step / wires[i, at.CLAMP_TIME])
 
 
 @borrowing
 def look_beside(wires, i, opposite, step):
-    """Note what wire i gives heat to, apart from the air: the side `opposite` [K] and its clamp, as
-    one conductance and temperature, held over a step. The clamp's is its mean over the step."""
+    """Combine the heat sinks of wire i other than air, the side `opposite` [K] and the clamp, into
+    one conductance and temperature for a step; the clamp's is its mean over the step."""
     across, clamp = wires[i, at.ACROSS], wires[i, at.CLAMP_CONDUCTANCE]
     wires[i, at.BESIDE], wires[i, at.BESIDE_TEMPERATURE] = across, opposite
     if clamp > 0.0:
@@ -41,8 +41,8 @@ def look_beside(wires, i, opposite, step):
 
 @borrowing
 def warm_together(wires, i, heating, loss, air, step):
-    """Wire and silicone at the end of the step, as far as they do not depend on xi: the wire's
-    temperature [K] is returned, its decay set to 0; `loss` is h A_c at the surface."""
+    """Solve wire and silicone at the end of the step, the part that is independent of xi; returns
+    the wire's temperature [K] and sets its decay to 0. `loss`: h A_c at the surface."""
     share, across = wires[i, at.MATRIX_INNER_SHARE], wires[i, at.BESIDE]
     inner, outer = wires[i, at.LOSS] / share, loss / (1.0 - share)
     opposite = wires[i, at.BESIDE_TEMPERATURE]
@@ -76,7 +76,7 @@ def warm_together(wires, i, heating, loss, air, step):
 
 @borrowing
 def after_step(wires, i, fraction_before, step):
-    """Warm the silicone and the clamp of wire i."""
+    """After a step: update the silicone and the clamp of wire i."""
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
         lag = wires[i, at.MATRIX_LAG] * (wires[i, at.FRACTION] - fraction_before)
         wires[i, at.MATRIX_RISE] = wires[i, at.MATRIX_START] + lag

@@ -1,17 +1,17 @@
-"""The passive side's wires are stretched by the bending, resist it, and detwin; or they rub.
+"""Bending stretches the passive side's wires, which resist and detwin; or they rub in channels.
 
-A wire feels its own side's bending u and the share k of the other's: e = u - k u_o. The side o,
-without contraction of its own, is pulled along until its wires' force F balances its beam:
+A wire feels its own side's bending u and the share k of the other's: e = u - k u_o. The passive
+side o does not contract itself; it is pulled along until its wires' force F balances its beam:
 
     F = K_o u_o = S (k u - p - u_o) = S' (k e - p),    S' = K_o S/(K_o + (1 - k^2) S)
     |F - n H p| <= n sigma_d,    S = sum of E_j(xi_j) over its n wires
     sum sigma_i = K u = K e + k (K/K_o) F,    bending towards this side: u - u_o
 
-Beyond sigma_d the martensite gives way along a plateau that rises by H: p follows, and stays as a
-stretch until that side is heated, which recovers it: p falls with xi_j.
-Wires that lie buckled at rest resist once a bending g has straightened them: e - g in place of e,
-and F = 0 as long as k (e - g) < p.
-Wires that only rub in their channels hold the sum of stresses back by +- sigma_f, as a slider does.
+Beyond sigma_d the martensite detwins along a plateau of slope H: its stretch p grows, and remains
+until that side is heated, when p falls with xi_j.
+Wires that are buckled at rest resist only after a bending g has straightened them: e - g replaces
+e, and F = 0 while k (e - g) < p.
+Friction of wires in their channels changes the sum of stresses by +- sigma_f, as on a slider.
 Source: balance of both sides; Coulomb's friction; plasticity with linear kinematic hardening, H of
 NiTi from Brinson (1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067."""
 
@@ -19,17 +19,17 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
 HARDENING = (170e6 - 100e6) / 0.067  # Pa
-LOOSE = 2.0  # of YIELDING: buckled; else 0 while elastic, or the sign of what yields
+LOOSE = 2.0  # value of YIELDING if buckled; 0: elastic, -1 or 1: yields that way
 
 
 @borrowing
 def look_at_passive(wires, sides, side):
-    """Note S', n sigma_d and n H of the wires opposite; their recovery sets p back."""
+    """Set S', n sigma_d and n H of the wires opposite; reduce p if these recover."""
     modulus, fraction, count = 0.0, 0.0, 0
     for j in range(wires.shape[0]):
         if int(wires[j, at.SIDE]) != side:
             xi = wires[j, at.FRACTION]
-            stiff = wires[j, at.AUSTENITE_STIFF]  # no law's own moduli of one step
+            stiff = wires[j, at.AUSTENITE_STIFF]  # not the moduli that a law sets for one step
             modulus += stiff + xi * (wires[j, at.MARTENSITE_STIFF] - stiff)
             fraction += xi
             count += 1
@@ -53,13 +53,13 @@ def passive_beam(sides, side):
 
 @borrowing
 def felt_of(sides, side, contraction):
-    """k e, or k (e - g)."""
+    """Stretch of the passive wires: k e, or k (e - g)."""
     return sides[side, at.ENGAGEMENT] * (contraction - sides[side, at.GAP])
 
 
 @borrowing
 def passive_force(sides, side, felt):
-    """F [Pa] where the passive wires feel the stretch `felt`, in the regime that is noted."""
+    """F [Pa] of the passive wires at the stretch `felt`, in the present regime."""
     if sides[side, at.YIELDING] == LOOSE:
         return 0.0
     modulus, hardening = sides[side, at.PASSIVE_MODULUS], sides[side, at.PASSIVE_HARDENING]
@@ -71,7 +71,7 @@ def passive_force(sides, side, felt):
 
 @borrowing
 def resist(sides, side):
-    """Stiffness and load [Pa] with which they resist: k (K/K_o) F = stiffness e - load."""
+    """Stiffness and load [Pa] of their resistance: k (K/K_o) F = stiffness e - load."""
     share = sides[side, at.MATRIX_STIFFNESS] / passive_beam(sides, side)
     share *= sides[side, at.ENGAGEMENT]
     at_rest = passive_force(sides, side, felt_of(sides, side, 0.0))
@@ -81,7 +81,7 @@ def resist(sides, side):
 
 @borrowing
 def stretch(sides, side, felt):
-    """p where the passive wires feel the stretch `felt`."""
+    """p of the passive wires at the stretch `felt`."""
     if sides[side, at.YIELDING] == 0.0 or sides[side, at.YIELDING] == LOOSE:
         return sides[side, at.DETWINNED]
     return felt - passive_force(sides, side, felt) / sides[side, at.PASSIVE_MODULUS]
@@ -89,7 +89,7 @@ def stretch(sides, side, felt):
 
 @borrowing
 def yield_sign(sides, side, contraction):
-    """Sign of the yielding that fits e: 0 while the passive wires are elastic, LOOSE if buckled."""
+    """YIELDING that is consistent with e: 0 elastic, LOOSE buckled, else a sign."""
     if sides[side, at.PASSIVE_MODULUS] <= 0.0:
         return 0.0
     felt = felt_of(sides, side, contraction)
@@ -108,7 +108,7 @@ def yield_sign(sides, side, contraction):
 
 @borrowing
 def give_way(sides, side, contraction):
-    """After a step with e = `contraction`: keep p; the bending u_o of the passive side."""
+    """After a step with e = `contraction`: update p; returns the passive side's bending u_o."""
     if sides[side, at.PASSIVE_MODULUS] <= 0.0:
         return 0.0
     felt = felt_of(sides, side, contraction)

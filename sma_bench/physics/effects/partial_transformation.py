@@ -1,45 +1,45 @@
 """Kinetics of incomplete loops.
 
-Grains that transform early on heating do so late on cooling: what has turned last goes back first
-(thermoelastic order; Ortin and Delaey 2002). Of heating from (T_r, xi_r), with f the ramp of the
-full loop and f_r = f(T_r) > xi_r,
+Grains that transform early on heating do so late on cooling: the last to transform is the first to
+transform back (thermoelastic order; Ortin and Delaey 2002). On heating from (T_r, xi_r), with f the
+ramp of the full loop and f_r = f(T_r) > xi_r,
 
     xi = f_r C(xi_r/f_r, f(T)/f_r),    C(u, v) = 2 q u v/(s + sqrt[s^2 - 4 q (q - 1) u v])
     s = 1 + (q - 1) (u + v),           q = (1 + p)/(1 - p)
 
-and likewise for 1 - xi and g while cooling. C is the share of grains below u of one order and
-below v of the other, the two orders' odds ratio being q (Plackett 1965). p = 0 is the contract's
-rule, xi = xi_r f/f_r, in which a turned loop starts at once. With p = 1 it stays flat until it
-meets the full loop.
+and likewise for 1 - xi and g on cooling. C is the share of grains below u in one order and below v
+in the other, with the odds ratio q between the orders (Plackett 1965). p = 0 is the contract's rule
+xi = xi_r f/f_r, where xi changes at once after a reversal. With p = 1 (`memory`) it stays constant
+until it meets the full loop.
 
 With `return_point` m the straight line of xi over f aims at m times the last but one reversal
-(xi_b, f_b) instead of the origin, so that for m = 1 an inner loop closes where it was opened, is
-then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
+(xi_b, f_b) instead of the origin: for m = 1 an inner loop closes where it was opened, is then
+forgotten, and the outer loop continues (return-point memory; Mayergoyz 1986):
 
     xi = m xi_b + (xi_r - m xi_b) (f(T) - m f_b)/(f_r - m f_b)       down to f_b
 
-With `wire.law` normal, which has inner loops of its own, it is refused."""
+It is refused with `wire.law` normal, which has its own inner loops."""
 
 import math
 
 from sma_bench.compiled import borrowing, inlined
 from sma_bench.physics import columns as at
 
-TINY = 1e-12
-ROUNDED = 1e-3  # of p = 1, whose q would be infinite
+TINY = 1e-12  # of a share: shorter lines count as points
+ROUNDED = 1e-3  # least 1 - p: q is infinite at p = 1
 TURN_DEPTH = 6  # reversals that are remembered, each as xi, f, g
 
 
 @inlined
 def left_of_grains(phase, share, reversed_share, memory):
-    """Phase left by the rule of p; its slope along share. `reversed_share` is above 0."""
+    """Phase left by the rule with p, and its slope in `share`. `reversed_share` is above 0."""
     if phase >= reversed_share:
         slope = phase / reversed_share
         return share * slope, slope
     u, v = phase / reversed_share, share / reversed_share
     rest = max(1.0 - memory, ROUNDED)
     excess = 2.0 * (1.0 - rest) / rest  # q - 1
-    if v > 1.0:  # stress has moved the ramp back: straight on
+    if v > 1.0:  # stress has moved the ramp back: extend it linearly
         by_v = u / (1.0 + excess * (1.0 - u))
         return reversed_share * (u + (v - 1.0) * by_v), by_v
     odds, s = 1.0 + excess, 1.0 + excess * (u + v)
@@ -50,7 +50,7 @@ def left_of_grains(phase, share, reversed_share, memory):
 
 @borrowing
 def remember_turn(wires, i, f, g):
-    """Note a reversal; when too many loops lie within each other the innermost is forgotten."""
+    """Store a reversal; if there are too many nested loops, forget the innermost."""
     count = int(wires[i, at.TURNS])
     if count == TURN_DEPTH:
         count -= 2
@@ -61,7 +61,7 @@ def remember_turn(wires, i, f, g):
 
 @borrowing
 def loop_of(wires, i, share):
-    """Reversals that remain where `share` of the own ramp lies; the line's start (phase, share)."""
+    """Number of reversals still open at `share` of its ramp; start of the line (phase, share)."""
     rising, count = wires[i, at.TREND] > 0.0, int(wires[i, at.TURNS])
     phase, begin = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
     while count >= 2:
@@ -78,7 +78,7 @@ def loop_of(wires, i, share):
 
 @borrowing
 def aim_of(wires, i, count):
-    """Phase and share of the own ramp that a line aims at while `count` reversals are known."""
+    """Phase and share of the ramp that a line aims at when `count` reversals are open."""
     if count < 2:
         return 0.0, 0.0
     state = at.TURN_STATES + 3 * (count - 2)
@@ -90,7 +90,7 @@ def aim_of(wires, i, count):
 
 @borrowing
 def towards_turn(wires, i, share, share_slope):
-    """Phase left on the line to where the loop was opened, and its slope."""
+    """Phase left on the line to the point where the loop was opened, and its slope."""
     count, phase, begin = loop_of(wires, i, share)
     aim, aim_share = aim_of(wires, i, count)
     if begin - aim_share <= TINY:
@@ -102,7 +102,7 @@ def towards_turn(wires, i, share, share_slope):
 
 @borrowing
 def forget_closed(wires, i, share):
-    """After a step: loops that the wire has run out of are forgotten."""
+    """After a step: forget the loops that the wire has left."""
     count, phase, begin = loop_of(wires, i, share)
     wires[i, at.TURNS] = count
     wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED] = phase, begin

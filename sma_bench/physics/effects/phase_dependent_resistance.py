@@ -2,15 +2,15 @@
 
     R(xi, T) = R [1 + a (1 - xi) + 4 w xi (1 - xi)] [1 + (b + b_M xi) (T - T_inf)]
 
-R is the martensite's at ambient temperature; the brackets stay above 0. w: an intermediate phase
-(R-phase); b_M: martensite's own rise.
-Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seelecke 2012); the
-strain's part of the geometry is within a."""
+R is that of martensite at ambient temperature; the brackets stay above 0. w: an intermediate phase
+(R-phase); b_M: additional temperature coefficient of martensite.
+Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seelecke 2012); a includes
+the change of geometry with the recovered strain."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-LEAST = 0.05  # of R, where a falling line would leave its physics
+LEAST = 0.05  # lower limit of both brackets
 
 
 @borrowing

@@ -1,13 +1,13 @@
 """Part of the recovered strain stays when the wire cools.
 
     strain of eq. (9) becomes eps_L [(1 - r)(1 - xi) + r m]
-    m = max over the past of (1 - xi), less k (m - (1 - xi)) a second
+    m = largest (1 - xi) so far, which falls at the rate k (m - (1 - xi))
 
-The first heating is the paper's; after it, r of the strain stays at rest, or creeps back at the
-rate k. A record that follows another of the same bench may begin with what stayed in that one
-(`fresh_start`). Source: two-way memory and incomplete reorientation (detwinning) of the martensite
-under too small a load. Laws of which that load decides the strain (brinson, extended) have it by
-themselves: it is refused with them."""
+The first heating follows the paper; after it the share r of the strain remains at rest, or recovers
+at the rate k. A record that follows another of the same bench may begin with the strain left by it
+(`fresh_start`). Source: two-way memory, and martensite that a small load does not fully reorient
+(detwin). The laws brinson and extended, whose strain depends on the load, include this: it is
+refused with them."""
 
 import math
 from collections.abc import Mapping
@@ -17,25 +17,25 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-CARRIED_OVER = "carried_over"  # the form that needs a record before
+CARRIED_OVER = "carried_over"  # the form that needs an earlier record
 _SIZE, _RATE = "effect.residual_strain.share", "effect.residual_strain.recovery"
 FRESH_START = "effect.residual_strain.fresh_start"
 
 
 def carries_over(parameters: Mapping[str, Any]) -> bool:
-    """Whether what a wire did in one record matters in the next one."""
+    """True if residual strain from one record is carried over into the next."""
     return bool(parameters[_SIZE] != 0.0 and parameters[FRESH_START] < 1.0)
 
 
 def carried_over(parameters: Mapping[str, Any], most: Array, pause: float) -> Array:
-    """m (w,) at the start of a record, from that at the end of the one before, `pause` s ago."""
+    """m (w,) at the start of a record, from `most` at the end of the last one, `pause` s ago."""
     kept: float = (1.0 - parameters[FRESH_START]) * math.exp(-parameters[_RATE] * pause)
     return kept * most
 
 
 @borrowing
 def added_strain(wires, i):
-    """Strain of wire i that stays; how much of eps_L still follows xi is set on the way."""
+    """Residual strain of wire i; sets RECOVERABLE_STRAIN, the part of eps_L that follows xi."""
     share, most = wires[i, at.RESIDUAL_SHARE], wires[i, at.MOST_AUSTENITE]
     if wires[i, at.TREND] > 0.0 and 1.0 - wires[i, at.FRACTION] >= most:
         wires[i, at.RECOVERABLE_STRAIN] = wires[i, at.FULL_STRAIN]
@@ -46,7 +46,7 @@ def added_strain(wires, i):
 
 @borrowing
 def after_step(wires, i, fraction_before, step):
-    """Note how austenitic wire i has been at most, less what has crept back."""
+    """After a step: update m of wire i."""
     austenite = 1.0 - wires[i, at.FRACTION]
     beyond = max(wires[i, at.MOST_AUSTENITE] - austenite, 0.0)
     wires[i, at.MOST_AUSTENITE] = austenite + beyond * math.exp(-wires[i, at.RECOVERY] * step)
@@ -54,7 +54,7 @@ def after_step(wires, i, fraction_before, step):
 
 @borrowing
 def passes_most(wires, i):
-    """After a solution: let the strain follow xi if wire i is now at its most; whether it did."""
+    """After a solution: let all strain follow xi if 1 - xi exceeds m; True if that changed it."""
     most = wires[i, at.MOST_AUSTENITE]
     follows = wires[i, at.RECOVERABLE_STRAIN] == wires[i, at.FULL_STRAIN]
     follows = follows or wires[i, at.RESIDUAL_SHARE] == 0.0

@@ -3,6 +3,6 @@
     beta_front (1 + a) (1 + l),    beta_back (1 - a) (1 - l)
     alpha_front (1 + l),           alpha_back (1 - l)
 
-Source: wires that do not lie alike in the matrix (the paper finds its two sides to differ); l: one
-side nearer to the middle, where the same strain bends more and meets more stiffness, eq. (16).
-`Boundary.of` applies it."""
+a: the wires of the two sides are embedded differently (the paper's two sides differ). l: one side's
+wires have a longer lever, by which the same strain bends more against more stiffness (eq. 16).
+Source: assumed. `Boundary.of` applies it."""

@@ -1,12 +1,12 @@
 """Heat through the matrix from one side's wires to the other's.
 
     m c_p dT_i/dt = ... - G (T_i - T_j),    T_j: mean of the wires opposite
-    T_inf,i = T_inf + p (T_j - T_inf)       in the plume of the others
+    T_inf,i = T_inf + |p| (T_j - T_inf)     of a wire in the plume of the other side
 
-Where one side has more wires than the other, they share the G of the fewer. The plume reaches the
-back where p is above 0, the front below.
+If one side has more wires than the other, these share the G of the fewer. The plume reaches the
+back if p > 0 and the front if p < 0.
 Source: conduction between parallel wires in a slab, G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm; free
-convection off a wire below."""
+convection from a wire below."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
@@ -14,7 +14,7 @@ from sma_bench.physics import columns as at
 
 @borrowing
 def look_across(wires):
-    """Note for every wire the mean temperature of wire and silicone opposite."""
+    """Set for every wire the mean temperatures of the wires and the silicone opposite."""
     for i in range(wires.shape[0]):
         matrix, count = 0.0, 0
         for j in range(wires.shape[0]):

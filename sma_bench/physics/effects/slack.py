@@ -1,29 +1,29 @@
 """Wires that must contract a little before they pull.
 
-    e - b = s where the wires are taut, 0 where they push (longer than at rest), and between the two
-    they hang: no stress, the beam bends by itself (b: contraction that bends the beam)
+With b the contraction that bends the beam, e - b = s if the wires are taut and 0 if they push
+(longer than at rest); in between they hang slack, without stress.
 
-Or they become taut little by little: of the contraction y beyond s
+Or they become taut gradually: with the contraction y beyond s
 
-    b = y^2/(4 q) up to 2 q, y - q beyond
+    b = y^2/(4 q) up to y = 2 q, y - q beyond
 
-Or they rub in their sleeves: the play e - b, from 0 to s, stays as long as |sum sigma| <= sigma_f,
-and slides at +- sigma_f.
+Or they rub in their sleeves: the play e - b, from 0 to s, stays constant while |sum sigma| <=
+sigma_f, and slides at +- sigma_f.
 
-Wires that a spring's preload or a weight draws straight at rest have none.
+Wires that a preload or a weight pulls straight at rest have no slack.
 Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire; fibres of a
-strand, or stretches of a sleeve, that come straight evenly over 0 to 2 q (Lanir 1983); play with
-Coulomb's friction (Armstrong-Helouvry et al. 1994)."""
+strand, or parts of a sleeve, that straighten evenly over 0 to 2 q (Lanir 1983); play with Coulomb
+friction (Armstrong-Helouvry et al. 1994)."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-ASTRAY = 1e-9  # of contraction
+ASTRAY = 1e-9  # contraction, tolerance of the linearised bending
 
 
 @borrowing
 def pulls(sides, side, contraction):
-    """Bending of a side whose wires do not hang, and its slope along their contraction."""
+    """Bending of a side whose wires do not hang, and its slope in their contraction."""
     beyond = contraction
     if sides[side, at.RUBBING] > 0.0:
         beyond -= sides[side, at.PLAY_TAKEN]
@@ -39,7 +39,7 @@ def pulls(sides, side, contraction):
 
 @borrowing
 def hangs(sides, side):
-    """Whether the play takes all contraction: no stress but that of rubbing."""
+    """True if the play takes up all contraction: no stress except from rubbing."""
     if sides[side, at.RUBBING] > 0.0:
         return sides[side, at.SLIDES] != 0.0
     return sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] == 0.0
@@ -72,7 +72,7 @@ def slide(sides, side):
 
 @borrowing
 def straight_on(sides, side):
-    """Note bending and slope where the wires are, along which a solution goes straight on."""
+    """Linearise the bending about the present contraction, for the next solution."""
     here = sides[side, at.CONTRACTION]
     sides[side, at.PULLED_TO], sides[side, at.PULLED_SLOPE] = pulls(sides, side, here)
     sides[side, at.PULLED_FROM] = here
@@ -80,7 +80,7 @@ def straight_on(sides, side):
 
 @borrowing
 def gone_astray(sides, side):
-    """After a solution: whether the line that it went along is not the wires' any more."""
+    """After a solution: True if the linearised bending is too far off at the new contraction."""
     if sides[side, at.SOFT_SLACK] <= 0.0:
         return False
     here = sides[side, at.CONTRACTION]

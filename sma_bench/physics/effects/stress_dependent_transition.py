@@ -1,11 +1,11 @@
-"""Stress shifts the transformation otherwise than the parameters say.
+"""Stress shifts the transformation by more or less than the parameters say.
 
-    f, g at sigma (1/C_A + a), sigma (1/C_M + b),    each bracket 0 at least
-    f, g at u/C_A, u/C_M,    u = sigma + r [(sigma^2 + sigma_k^2)^(1/2) - sigma_k],  sigma > 0
+    shifts of f, g: sigma (1/C_A + a), sigma (1/C_M + b),    each bracket at least 0
+    or u/C_A, u/C_M,    u = sigma + r [(sigma^2 + sigma_k^2)^(1/2) - sigma_k],  sigma > 0
 
-The first are lines that are wrong, the second are bent: of slope 1/C at no stress, and of (1 + r)/C
-far above sigma_k. Below 0 a wire that is held would transform in one snap, by its own stress.
-Source: Clausius and Clapeyron, eqs. (10), (11) with C_A, C_M that are wrong, or absent; lines that
+The first are straight lines of another slope; the second are bent, with slope 1/C near zero stress
+and (1 + r)/C far above sigma_k. With a slope below 0 a clamped wire would transform in one jump.
+Source: Clausius and Clapeyron, eqs. (10), (11) with C_A, C_M that are wrong or missing; lines that
 start at a critical stress: Brinson 1993."""
 
 import math

@@ -1,10 +1,10 @@
-"""Leads and contacts between the voltage that is measured and the wire.
+"""Voltage drop of leads, contacts and supply between the measured voltage and the wire.
 
     V_wire = V - u - I R_s - max(I - I_k, 0) R_o,    I = (V - u)/(R + R_s) below I_k
     tau du/dt = R_b I - u
 
-Source: Ohm's law; R_o, I_k: a supply or a driver that gives way beyond a current; R_b, tau: a
-battery, whose drop comes and goes (Thevenin's model: Plett, Battery Management Systems 1, 2015)."""
+R_s: leads and contacts; R_o: a supply or driver whose voltage drops above I_k; R_b, tau: a battery.
+Source: Ohm's law; Thevenin's model of batteries (Plett, Battery Management Systems 1, 2015)."""
 
 import math
 
@@ -14,7 +14,7 @@ from sma_bench.physics import columns as at
 
 @borrowing
 def power(wires, i, voltage, resistance, step):
-    """Heat in wire i [W] over a step at a `voltage`; sources hold voltage / R, voltage^2 / R."""
+    """Heat in wire i [W] in a step at `voltage`; sources keep current V/R or power V^2/R."""
     if wires[i, at.SOURCE] > 1.0:
         return voltage * voltage / wires[i, at.RESISTANCE]
     if wires[i, at.SOURCE] > 0.0:

@@ -9,7 +9,7 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.material import free_loss
 
-_LEAST = 0.05
+_LEAST = 0.05  # lower limit of the bracket
 
 
 @borrowing

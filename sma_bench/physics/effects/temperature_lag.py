@@ -2,9 +2,9 @@
 
     T_read = (1 - s) L(tau) T + s L(tau_s) T,    L(tau): dT_L/dt = (T - T_L)/tau
 
-Source: first-order sensor; a slow share s, where a junction is warmed by its leads and its glue too
-(Moffat 1988). With an exposure t_e the reading goes through L(t_e/6) three times more, which has
-mean delay and width of an average over t_e."""
+Source: first-order sensor; a slow share s if leads and glue warm the junction too (Moffat 1988).
+With an exposure t_e the reading goes through L(t_e/6) three more times, which gives the mean delay
+and the width of an average over t_e."""
 
 import math
 
@@ -14,7 +14,7 @@ from sma_bench.physics import columns as at
 
 @borrowing
 def follow(reading, before, now, step, lag):
-    """The reading after a step in which the temperature went straight from `before` to `now`."""
+    """Lagged reading after a step with a temperature linear from `before` to `now`."""
     if lag <= 0.0:
         return now
     decay = math.exp(-step / lag)
@@ -24,7 +24,7 @@ def follow(reading, before, now, step, lag):
 
 @borrowing
 def read(wires, i, seen, step):
-    """Reading of wire i after a step at whose end its spot has the temperature `seen` [K]."""
+    """Reading of wire i after a step, whose end temperature at the sensor is `seen` [K]."""
     before = wires[i, at.FAST]
     fast = follow(before, wires[i, at.SEEN], seen, step, wires[i, at.READING_LAG])
     wires[i, at.FAST], reading = fast, fast

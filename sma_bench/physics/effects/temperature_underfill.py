@@ -2,9 +2,9 @@
 
     T_read^n = (1 - m - o) T^n + m T_background^n + o T_opposite^n,    m = m_0 + w |e|, n = 4.5
 
-The background is the air's temperature or, with thermal mass of the matrix, the silicone's. w: a
-spot that the wire leaves as the beam bends (e: contraction that bends it); o: wires opposite that
-lie in the spot.
+The background is at the air's temperature or, with thermal mass of the matrix, the silicone's. w:
+the wire moves out of the spot as the beam bends (e: contraction that bends it, in percent); o:
+share of the spot that shows wires of the other side.
 Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K."""
 
 from sma_bench.compiled import borrowing
@@ -13,12 +13,12 @@ from sma_bench.physics.effects.side_heat_coupling import opposite_temperature
 
 _EXPONENT = 4.5
 _PER_CENT = 0.01
-_MOST = 0.95  # of a spot
+_MOST = 0.95  # largest share of a spot without the wire
 
 
 @borrowing
 def spot_temperature(wires, i, background, bent):
-    """What a spot on wire i reads [K] where the beam is bent by the contraction `bent`."""
+    """Reading [K] of a spot on wire i if the contraction `bent` bends the beam."""
     missing = wires[i, at.MISSING_SPOT]
     missing = min(missing + wires[i, at.WALKING_SPOT] * abs(bent) / _PER_CENT, _MOST)
     across = min(wires[i, at.OPPOSITE_SPOT], _MOST - missing)

@@ -1,12 +1,11 @@
-"""Another law of the phase than the baseline's cosine.
+"""A law of the phase other than the baseline's cosine.
 
     f = (1 - l - e) f_cosine + l f_logistic + e f_exponential
 
-and likewise g: shares of the grains that follow the logistic law, soft at both ends, or Tanaka's
-exponential, which starts sharply and fades out, each with the mean and the deviation that the
-cosine's temperatures have; together they are 1 at most: of larger ones their ratio counts. Source:
-Ikuta et al. 1991; Tanaka 1986. Normal tails are `wire.transition_tail`, and inner loops
-`partial_transformation`."""
+and likewise g. l: share of grains that follow the logistic law, gradual at both ends; e: share that
+follows Tanaka's exponential, which starts sharply and fades out. Both have the mean and deviation
+of the cosine. If l + e > 1, they are scaled to a sum of 1. Source: Ikuta et al. 1991; Tanaka 1986.
+See `wire.transition_tail` for normal tails, `partial_transformation` for inner loops."""
 
 import math
 
@@ -14,7 +13,7 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.laws import exponential, logistic
 
-# Deviation of the grains' places over a range of 1, by the cosine and by both laws.
+# Deviation of the cosine over a range of 1; scale and shift of positions for both other laws.
 _COSINE = math.sqrt(0.25 - 2.0 / math.pi**2)
 _WIDER = math.pi / (math.sqrt(3.0) * logistic.STEEPNESS) / _COSINE
 _LATER, _LONGER = 1.0 - 1.0 / exponential.RATE, 1.0 / (exponential.RATE * _COSINE)

@@ -2,10 +2,10 @@
 
     dT(n) = c [1 - exp(-n/n_0)],    eps_p(n) = p [1 - exp(-n/n_0)],    dn = |dxi|/2
 
-Martensite's two temperatures move by c + c_M.
+Martensite's two temperatures shift by c + c_M.
 
-The temperatures of a branch are those of the cycles done when it began: a transformation does not
-move the range that it is in.
+A branch keeps the temperatures of the cycles done when it began: a transformation does not move its
+own range.
 Source: functional fatigue of NiTi wires, saturating with the number of transformations."""
 
 import math
@@ -21,13 +21,13 @@ def _done(wires, i, cycles):
 
 @borrowing
 def drifts(wires, i):
-    """Whether the transformation of wire i shifts."""
+    """True if the transformation temperatures of wire i shift."""
     return wires[i, at.FINAL_SHIFT] != 0.0 or wires[i, at.MARTENSITE_FINAL_SHIFT] != 0.0
 
 
 @borrowing
 def shift_transition(wires, i):
-    """Shift the transformation of wire i by the cycles that it had made when it last turned."""
+    """Shift the temperatures of wire i by its cycles up to the last reversal."""
     done = _done(wires, i, wires[i, at.TURNED_CYCLES])
     shift = done * wires[i, at.FINAL_SHIFT]
     wires[i, at.AUSTENITE_FINISH] = wires[i, at.AUSTENITE_FINISH_FRESH] + shift
@@ -37,7 +37,7 @@ def shift_transition(wires, i):
 
 @borrowing
 def added_strain(wires, i):
-    """Less pull of wire i, by its elongation over the cycles that it has made."""
+    """Strain added to wire i: minus its plastic elongation over its cycles so far."""
     if wires[i, at.FINAL_PLASTIC] == 0.0:
         return 0.0
     return -_done(wires, i, wires[i, at.CYCLES]) * wires[i, at.FINAL_PLASTIC]
@@ -45,5 +45,5 @@ def added_strain(wires, i):
 
 @borrowing
 def after_step(wires, i, fraction_before, step):
-    """Count the transformation of wire i in a step."""
+    """After a step: add its transformation to the cycles of wire i."""
     wires[i, at.CYCLES] += 0.5 * abs(wires[i, at.FRACTION] - fraction_before)

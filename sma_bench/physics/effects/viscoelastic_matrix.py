@@ -2,9 +2,9 @@
 
     sum sigma_i = K e + nu K (e - q),    dq/dt = (e - q)/tau
 
-K is the stiffness that stays (the paper's beta alpha), nu K the part that relaxes. Spread: two such
-parts, half of it each, with tau/8 and 8 tau, between which a power law's relaxation lies.
-Source: Zener's three-parameter solid and Prony's series, solved for an e that goes straight over a
+K is the permanent stiffness (the paper's beta alpha), nu K the part that relaxes. With a spread of
+times there are two such parts, half of nu K each, with tau/8 and 8 tau, as in a power law.
+Source: Zener's three-parameter solid and Prony's series, solved for an e that is linear over a
 step."""
 
 import math
@@ -12,13 +12,13 @@ import math
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-APART = 8.0  # of the times of a spread, from its middle
+APART = 8.0  # ratio of the times of a spread to tau
 
 
 @borrowing
 def term(sides, side, k, step):
-    """Of the relaxing parts the one, the fast one or the slow one: stiffness S [Pa], and share and
-    rest of e - q at the step's end: e - q = share (e - e_before) + rest."""
+    """Of relaxing part k (0: the single one, 1: fast, 2: slow) the stiffness S [Pa], and share and
+    rest in e - q = share (e - e_before) + rest at the end of the step."""
     stiffness, times = sides[side, at.RELAXATION], 1.0
     if k > 0:
         stiffness, times = 0.5 * sides[side, at.SPREAD_RELAXATION], APART if k > 1 else 1.0 / APART
@@ -29,7 +29,7 @@ def term(sides, side, k, step):
 
 @borrowing
 def relaxing(sides, side, step):
-    """Note stiffness and load of the relaxing parts at the end of a step."""
+    """Set the stiffness and load of the relaxing parts for the end of a step."""
     before = sides[side, at.BENDING] + sides[side, at.PASSIVE_BENDING]
     sides[side, at.RELAXING_FROM] = before
     sides[side, at.RELAXING_STIFFNESS], sides[side, at.RELAXING_LOAD] = 0.0, 0.0

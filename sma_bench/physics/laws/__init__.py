@@ -1,21 +1,21 @@
-"""Laws of the phase, `wire.law`: how the fraction follows temperature and stress, one law a file.
+"""Laws of the phase, `wire.law`: how the fraction follows temperature and stress, one law per file.
 
-A file has its equation and source in the docstring, and of its full branches
+Each file has the equation and source in its docstring and, for the full branches,
 
-    ramp(position) -> share, slope    compiled: 0 and 1 where heating or cooling ends and starts
+    ramp(position) -> share, slope    compiled: share 0 at the end of a branch, 1 at its start
     position(share)                   its inverse
     UNDONE                            the share at A_f and M_f
 
-of the position (A_f - T + sigma/C_A)/(A_f - A_s) on heating, (T - M_f - sigma/C_M)/(M_s - M_f) on
-cooling; the share is that of the phase that vanishes. All laws have the same four temperatures;
-`wire.transition_spread` and `_tail` are the cosine's only. After a reversal inside the loop they
-follow the contract's rule (kinetics.py), unless a law's own states say otherwise (`normal`).
+with position = (A_f - T + sigma/C_A)/(A_f - A_s) on heating, (T - M_f - sigma/C_M)/(M_s - M_f) on
+cooling, and share that of the vanishing phase. All laws have the same four temperatures;
+`wire.transition_spread` and `_tail` are for the cosine only. After a reversal inside the loop they
+follow the contract's rule (kinetics.py), except laws with states of their own (`normal`).
 
-Laws of which the load decides the strain (`ORIENTING`, orientation.py) have besides
+Laws whose strain depends on the load (`ORIENTING`, orientation.py) also have
 
     orients(wires, i, stress) -> D, slope    compiled: the share of new martensite with a strain
-    oriented(stress, p) -> D                 the same of arrays
-    shifting(wires, i, stress)               what stands for sigma above, and its slope, both ways
+    oriented(stress, p) -> D                 the same for arrays
+    shifting(wires, i, stress)               stress in place of sigma, slope: heating, then cooling
 """
 
 from collections.abc import Mapping

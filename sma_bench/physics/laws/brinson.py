@@ -1,4 +1,4 @@
-"""Brinson's law: the load decides which part of martensite is stress-induced and has a strain.
+"""Brinson's law: the load determines which part of martensite is stress-induced and has a strain.
 
 The fraction follows the contract's cosines, on heating shifted by sigma/C_A, on cooling only by
 what lies above sigma_s (`wire.detwinning_start_stress`), max(sigma - sigma_s, 0)/C_M. It is the sum
@@ -7,13 +7,13 @@ one (twinned). Of martensite that forms at sigma the share
 
     D = sin^2[pi/2 (sigma - sigma_s)/(sigma_f - sigma_s)]      0 below sigma_s, 1 above sigma_f
 
-is stress-induced, none while what is there has more; where D, of sigma - C_M (T - M_s) above M_s,
-grows beyond what is there has of it, that detwins as well, and stays so. On heating both parts
-vanish in proportion (orientation.py).
+is stress-induced, or none while the existing martensite has a larger share than D. Under growing
+stress existing martensite detwins up to the share D (above M_s: D at sigma - C_M (T - M_s)), and
+stays detwinned. On heating both parts vanish in proportion (orientation.py).
 
-Source: Brinson 1993. Simpler than hers: above M_s a wire at held stress transforms over M_s - M_f,
-not over (sigma_f - sigma_s)/C_M; a stress that was there before detwins nothing more. Parameters:
-sigma_s, and sigma_f - sigma_s (`wire.detwinning_stress_range`)."""
+Source: Brinson 1993, simplified: above M_s a wire at constant stress transforms over M_s - M_f, not
+over (sigma_f - sigma_s)/C_M; a constant stress detwins nothing. Parameters: sigma_s, and sigma_f -
+sigma_s (`wire.detwinning_stress_range`)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,7 +32,7 @@ FROM, WITHIN = ORIENTING["brinson"]
 
 @inlined
 def shifting(wires, i, stress):
-    """Stress [Pa] that shifts the range of heating, its slope; the same of cooling."""
+    """Stress [Pa] that shifts the range of heating, its slope; the same for cooling."""
     above = stress - wires[i, at.ORIENTS_FROM]
     return (stress, 1.0, above, 1.0) if above > 0.0 else (stress, 1.0, 0.0, 0.0)
 
@@ -45,6 +45,6 @@ def orients(wires, i, stress):
 
 
 def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
-    """As `orients`, of arrays."""
+    """As `orients`, for arrays."""
     place = np.clip((np.asarray(stress, float) - p[FROM]) / p[WITHIN], 0.0, 1.0)
     return np.square(np.sin(0.5 * np.pi * place))

@@ -8,7 +8,7 @@ import math
 
 from sma_bench.compiled import inlined
 
-UNDONE = 0.0  # share where the transformation is said to end
+UNDONE = 0.0  # share left at A_f and M_f
 
 
 @inlined

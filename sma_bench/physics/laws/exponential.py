@@ -7,17 +7,17 @@ in temperatures, on heating and on cooling,
     xi     = exp[-a (T - A_s - sigma/C_A)/(A_f - A_s)]
     1 - xi = exp[-a (M_s - T + sigma/C_M)/(M_s - M_f)]
 
-A_s and M_s are where they start, A_f and M_f where 97.5 % is done. The rate of Tanaka's rule is in
-proportion to what is left, so that an inner loop follows the contract's rule. Source: Tanaka 1986,
+They start at A_s and M_s; at A_f and M_f 97.5 % is done. The rate of Tanaka's rule is proportional
+to the fraction left, so that inner loops follow the contract's rule. Source: Tanaka 1986,
 whose ends are at 99 %. No parameters but the four temperatures."""
 
 import math
 
 from sma_bench.compiled import inlined
 
-UNDONE = 0.025  # share where the transformation is said to end
+UNDONE = 0.025  # share left at A_f and M_f
 RATE = math.log(40.0)
-_LEAST = 1e-6  # of a share whose position is asked for
+_LEAST = 1e-6  # smallest share that `position` inverts
 
 
 @inlined
@@ -30,5 +30,5 @@ def ramp(position):
 
 
 def position(share: float) -> float:
-    """Inverse of `ramp`; of nearly nothing that of a millionth."""
+    """Inverse of `ramp`; shares below a millionth count as that."""
     return 1.0 + math.log(max(share, _LEAST)) / RATE

@@ -1,7 +1,7 @@
-"""The law of Lagoudas and others: a strain that grows with stress, smooth kinetics, and moduli that
-differ.
+"""The law of Lagoudas and others: a strain that grows with stress, smooth kinetics and different
+moduli of the phases.
 
-With H(sigma) the strain of martensite that forms at sigma, eps_L its largest,
+With H(sigma) the strain of martensite that forms at sigma, eps_L the largest,
 
     H/eps_L = r + (1 - r) [1 - exp(-sigma/sigma_o)]
     share   = [1 + y sqrt(2 - y^2)]/2,   y = 2 position - 1
@@ -10,10 +10,10 @@ and both ranges shift by s/C_A, s/C_M, where by Clausius and Clapeyron
 
     s = sigma H/eps_L + sigma^2 (1/E_M - 1/E_A)/(2 eps_L)
 
-What has formed keeps its strain; on heating it vanishes with the fraction (orientation.py).
+Martensite keeps the strain with which it formed, until heating transforms it (orientation.py).
 
 Source: Lagoudas, Hartl et al. 2012, whose hardening with the exponents n = 1/2 gives the share; E9
-has the same H (identify/constitutive.py). Parameters: r (`wire.least_strain_share`: 0 untrained, 1
+fits the same H (identify/constitutive.py). Parameters: r (`wire.least_strain_share`: 0 untrained, 1
 fully trained), sigma_o (`wire.orientation_stress`)."""
 
 import math
@@ -28,7 +28,7 @@ from sma_bench.compiled import inlined
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
 
-UNDONE = 0.0  # share where the transformation is said to end
+UNDONE = 0.0  # share left at A_f and M_f
 FROM, WITHIN = ORIENTING["extended"]
 
 
@@ -44,7 +44,7 @@ def ramp(position):
 
 @inlined
 def orients(wires, i, stress):
-    """H/eps_L of a wire, and its slope [1/Pa]; without stress and under pressure r."""
+    """H/eps_L of a wire, and its slope [1/Pa]; r at zero or compressive stress."""
     least = wires[i, at.ORIENTS_FROM]
     if stress <= 0.0:
         return least, 0.0
@@ -54,7 +54,7 @@ def orients(wires, i, stress):
 
 @inlined
 def shifting(wires, i, stress):
-    """Stress s [Pa] that shifts the range of heating, its slope; the same of cooling."""
+    """Stress s [Pa] that shifts the range of heating, its slope; the same for cooling."""
     strain, slope = orients(wires, i, stress)
     bend = wires[i, at.MISMATCH] * max(stress, 0.0)
     s, by_stress = (strain + 0.5 * bend) * stress, strain + slope * stress + bend
@@ -67,16 +67,16 @@ def position(share: float) -> float:
 
 
 def grown(stress: ArrayLike, least: float, within: float) -> Array:
-    """H/eps_L at a stress, r and sigma_o in one unit."""
+    """H/eps_L at a stress; `least` is r, `within` sigma_o in the unit of the stress."""
     return 1.0 - (1.0 - least) * np.exp(-np.maximum(stress, 0.0) / within)
 
 
 def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
-    """As `orients`, of arrays."""
+    """As `orients`, for arrays."""
     return grown(stress, p[FROM], p[WITHIN])
 
 
 def mismatch(p: Mapping[str, Any]) -> float:
-    """What softer martensite adds to the slope of s, 1/Pa."""
+    """(1/E_M - 1/E_A)/eps_L of s [1/Pa], at least 0."""
     softer = 1.0 / p["wire.martensite_modulus"] - 1.0 / p["wire.austenite_modulus"]
     return float(max(softer, 0.0) / p["wire.maximum_recoverable_strain"])

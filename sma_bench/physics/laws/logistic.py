@@ -2,8 +2,8 @@
 
     share = 1/(1 + exp[-2 a (position - 1/2)]),   a = ln 39
 
-A_s, A_f, M_s, M_f are the points at which 2.5 and 97.5 % are done. Inner loops are Duhem's: the
-rate along a branch is in proportion to what is left of the phase that vanishes,
+A_s, A_f, M_s, M_f are the points at which 2.5 and 97.5 % are done. Inner loops follow Duhem's
+rule: the rate along a branch is proportional to the fraction left of the vanishing phase,
 
     dxi = xi d(ln f)   while T rises,      d(1 - xi) = (1 - xi) d(ln g)   while it falls
 
@@ -14,9 +14,9 @@ import math
 
 from sma_bench.compiled import inlined
 
-UNDONE = 0.025  # share where the transformation is said to end
+UNDONE = 0.025  # share left at A_f and M_f
 STEEPNESS = 2.0 * math.log(39.0)
-_LEAST = 1e-6  # of a share, or of its rest, whose position is asked for
+_LEAST = 1e-6  # smallest share, and rest, that `position` inverts
 
 
 @inlined
@@ -27,6 +27,6 @@ def ramp(position):
 
 
 def position(share: float) -> float:
-    """Inverse of `ramp`; at most where a millionth is left or done."""
+    """Inverse of `ramp`, within a millionth of 0 and 1."""
     inside = min(max(share, _LEAST), 1.0 - _LEAST)
     return 0.5 + math.log(inside / (1.0 - inside)) / STEEPNESS

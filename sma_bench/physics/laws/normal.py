@@ -2,36 +2,36 @@
 
 A grain of centre c and half width b becomes austenite at c + b and martensite at c - b (both
 shifted by stress). Five groups of shares w_j have half widths b_j about their mean; within each
-the centres are normally distributed, of deviation s about c_j. What a group remembers is one
+the centres are normally distributed with the deviation s about c_j. The memory of a group is one
 number, a generalised play (Krasnosel'skii and Pokrovskii 1989):
 
     p_j = max[T - sigma/C_A - b_j, min(p_j, T - sigma/C_M + b_j)]
     xi  = 1 - sum w_j Phi[(p_j - c_j)/s]
 
 Inner loops and return-point memory follow from that (Mayergoyz 1991). The full branches are normal
-distributions with A_s, A_f, M_s, M_f at 2.5 and 97.5 %: of deviations D_A = (A_f - A_s)/3.92 and
-D_M = (M_s - M_f)/3.92, half width b = (A_s + A_f - M_s - M_f)/4 in the mean. With the deviation r b
-of half widths (r: `wire.hysteresis_spread`) that asks of centres
+distributions with A_s, A_f, M_s, M_f at 2.5 and 97.5 %: deviations D_A = (A_f - A_s)/3.92 and D_M =
+(M_s - M_f)/3.92, mean half width b = (A_s + A_f - M_s - M_f)/4. With the deviation r b of the half
+widths (r: `wire.hysteresis_spread`) the centres must have
 
-    k = (D_A^2 - D_M^2)/4                         covariance with half widths
+    k = (D_A^2 - D_M^2)/4                         covariance with the half widths
     v = (D_A^2 + D_M^2)/2 - (r b)^2               variance
     b_j = b (1 + r z_j),   c_j = c + k/(r b)^2 (b_j - b),   s^2 = v - k^2/(r b)^2
 
-which is possible for r b between |D_A - D_M|/2 and (D_A + D_M)/2. z_j = 1.1 (-2 ... 2), w_j so that
-the moments of z up to the fifth are the normal distribution's; no half width is below 0.
-`effect.partial_transformation` is refused beside it: it has inner loops of its own.
+which is possible for r b between |D_A - D_M|/2 and (D_A + D_M)/2. z_j = 1.1 (-2 ... 2); the w_j
+give z the moments of the normal distribution up to the fifth; no half width is below 0.
+`effect.partial_transformation` is refused with this law, which has its own inner loops.
 
-With `wire.transition_skew` a the centres of a group are two halves of a normal distribution, of
-deviations (1 - a) s' below and (1 + a) s' above their peak (Fechner 1897): for Phi
+With `wire.transition_skew` a the centres of a group follow two half normal distributions, with
+deviations (1 - a) s' below and (1 + a) s' above the peak (Fechner 1897). Instead of Phi:
 
     (1 - a) Phi[z/(1 - a)] below,   (1 + a) Phi[z/(1 + a)] - a above,   z = (p_j - c_j)/s'
 
-Their variance stays s^2, and the four temperatures to half a kelvin where 2.5 and 97.5 % are done
-(Cornish and Fisher 1938). `ramp` leaves a out.
+The variance stays s^2, and the four temperatures stay within half a kelvin of the 2.5 and 97.5 %
+points (Cornish and Fisher 1938). `ramp` ignores a.
 
-The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at x from a clamp
-it is 1 - exp(-x/L) as warm above the room as in the middle. Each end is three pieces of length L
-with one play each, of the mean half width, at 0.25, 0.6 and 0.9 of the rise."""
+The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at the distance x
+from a clamp its rise above ambient is 1 - exp(-x/L) of that in the middle. Each end is modelled as
+three pieces of length L, each one play of mean half width at 0.25, 0.6 or 0.9 of the rise."""
 
 import math
 from collections.abc import Mapping
@@ -47,21 +47,21 @@ from sma_bench.parameters.parameters import BRANCH, hysteresis, wire_length
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.stress_dependent_transition import bent
 
-UNDONE = 0.025  # share where the transformation is said to end
+UNDONE = 0.025  # share left at A_f and M_f
 _AWAY = 1.1 * np.arange(-2.0, 3.0)  # z_j
 # w_j: 1, 1 and 3 are a normal distribution's moments of order 0, 2 and 4.
 _OUTER, _INNER = np.linalg.solve([_AWAY[:2] ** 2, _AWAY[:2] ** 4], [0.5, 1.5]).tolist()
 SHARES = (_OUTER, _INNER, 1.0 - 2.0 * (_OUTER + _INNER), _INNER, _OUTER)
-_WARM = (0.25, 0.6, 0.9)  # ends: of the rise over the room
-_MOST_COLD = 0.5  # of a wire's length, that its ends can be
+_WARM = (0.25, 0.6, 0.9)  # rise of the pieces of an end, relative to the middle
+_MOST_COLD = 0.5  # largest share of a wire's length in its ends
 _SQRT_2, _SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 _FAR = 7.0  # deviations, beyond which nothing (1e-12) is left to transform
-_NARROWEST = 0.01  # K, of s
-_OFF = 2.0 * math.sqrt(2.0 / math.pi)  # mean of two halves, s' a away from their peak
+_NARROWEST = 0.01  # K, smallest s
+_OFF = 2.0 * math.sqrt(2.0 / math.pi)  # mean of the two halves minus their peak, over s' a
 _WIDER = 3.0 - 8.0 / math.pi  # (s/s')^2 - 1 over a^2
-_POINTS = ((0.5 * BRANCH) ** 2 - 1.0) / 6.0  # deviations that a skewness of 1 moves both points by
-_LEAST = 1e-6  # of a share, or of its rest, whose position is asked for
-_HALVINGS = 60
+_POINTS = ((0.5 * BRANCH) ** 2 - 1.0) / 6.0  # shift of both points per skewness, deviations
+_LEAST = 1e-6  # smallest share, and rest, that `position` inverts
+_HALVINGS = 60  # of the bisection in `begin`
 OF_PLAYS = (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH)
 
 
@@ -73,7 +73,7 @@ def ramp(position):
 
 
 def position(share: float) -> float:
-    """Inverse of `ramp`; at most where a millionth is left or done."""
+    """Inverse of `ramp`, within a millionth of 0 and 1."""
     return 0.5 + float(ndtri(min(max(share, _LEAST), 1.0 - _LEAST))) / BRANCH
 
 
@@ -110,8 +110,8 @@ def plays(parameters: Mapping[str, Any]) -> tuple[Array, float]:
 
 @inlined
 def cumulative(x):
-    """Phi(x) and exp(-x^2/2), within 7 deviations: Hart 1968 as West 2005 has it, to 1e-15. One
-    exponential for both takes half the time of erfc beside it."""
+    """Phi(x) and exp(-x^2/2), within 7 deviations: Hart 1968 after West 2005, to 1e-15. They share
+    one exponential, which takes half the time of an additional erfc."""
     z, density = abs(x), math.exp(-0.5 * x * x)
     above = 3.52624965998911e-2 * z + 0.700383064443688
     above = ((above * z + 6.37396220353165) * z + 33.912866078383) * z + 112.079291497871
@@ -134,8 +134,8 @@ def skewed(wires, i, away):
 
 @inlined
 def pushed(wires, i, j, hot, cold, rise):
-    """Where T - sigma/C_A = `hot` and T - sigma/C_M = `cold` [K], `rise` over the room, push play j
-    of wire i; 1 if by heating, -1 if by cooling, 0 if it stays."""
+    """Play j of wire i at T - sigma/C_A = `hot`, T - sigma/C_M = `cold` [K], `rise` above ambient;
+    1 if heating has moved it, -1 if cooling has, 0 if it stays."""
     colder = (1.0 - wires[i, at.WARMTH + j]) * rise
     hot -= colder
     cold -= colder
@@ -160,7 +160,7 @@ def fraction(wires, i, temperature, stress):
     rise = temperature - wires[i, at.AMBIENT]
     austenite, by_temperature, by_hot, by_cold = 0.0, 0.0, 0.0, 0.0
     straight = wires[i, at.SKEW] == 0.0
-    for j in range(int(wires[i, at.GROUPS])):  # no constant, for a loop that is not unrolled
+    for j in range(int(wires[i, at.GROUPS])):  # a variable count, so that the loop is not unrolled
         play, way = pushed(wires, i, j, hot, cold, rise)
         away = (play - wires[i, at.CENTRES + j]) * wires[i, at.SHARPNESS]
         if away > _FAR:
@@ -184,7 +184,7 @@ def fraction(wires, i, temperature, stress):
 
 @borrowing
 def push(wires, i):
-    """After a step: the plays of wire i as they have been pushed."""
+    """After a step: update the plays of wire i."""
     hot, cold = _hot_and_cold(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
     rise = wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
     for j in range(int(wires[i, at.GROUPS])):
@@ -192,8 +192,8 @@ def push(wires, i):
 
 
 def begin(row: Array) -> None:
-    """Set the plays of a wire's row that has no history of this law: all at one level, so far as
-    temperature and stress let them: that which gives its fraction, or the nearest."""
+    """Set the plays of a wire's row without history: all at one level, limited by temperature and
+    stress, so that they give its fraction or come nearest to it."""
     count = int(row[at.GROUPS])
     centres, halves, shares, warmth = (row[first : first + count] for first in OF_PLAYS)
     moved = row[at.TEMPERATURE] - row[at.AUSTENITE_FINISH] + row[at.AUSTENITE_FINISH_FRESH]
