@@ -1,5 +1,5 @@
-"""From signs and gains to probabilities and stages, without a fit; and what an experiment would
-settle, by the same rule."""
+"""From features and gains to probabilities and stages, without a fit; and the outcome of an
+experiment by the same rule."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -27,12 +27,12 @@ QUIET, LOUD = (0.5, 3.5), (60.0, 12.0)
 
 
 def of_effect(gain, gap=20.0, partner=None, unsteady=1.0):
-    """Of one that is plain to see, with a size that its lab would believe."""
+    """A clearly visible effect, with a size within its prior."""
     return Facts(gain, gap, unsteady, 0.8, {"better": gap, "worse": partner or gap})
 
 
 def weighed(gains, beyond=0.0, left=QUIET, records=2):
-    """Of effects that gain so much, on a bench as its lab believes it but for them."""
+    """Effects with these gains, on a bench that is otherwise as stated."""
     facts = {}
     for name, gain in gains.items():
         own = gain if isinstance(gain, Facts) else of_effect(gain)
@@ -60,7 +60,7 @@ def test_the_table_of_weights_has_every_feature_with_an_error_and_the_sign_that_
     assert 0.0 < table.lapse < 0.3 and 0.0 < table.least < 0.2
 
 
-def test_probabilities_sum_to_one_and_are_the_sums_of_nats_that_are_shown():
+def test_probabilities_sum_to_one_and_match_the_reported_nats():
     own = utilities({"slack": 40.0, "latent_heat": 30.0, "latent_heat+slack": 60.0})
     shares, lapse = own.probabilities(), learnt().lapse
     assert shares.sum() == pytest.approx(1.0)
@@ -69,7 +69,7 @@ def test_probabilities_sum_to_one_and_are_the_sums_of_nats_that_are_shown():
     assert np.diff(np.log(raw)) == pytest.approx(np.diff(sums), abs=1e-6)
 
 
-def test_the_better_of_two_is_named_and_one_that_is_nearly_as_good_stays_a_rival():
+def test_the_better_of_two_is_named_and_one_that_is_nearly_as_good_stays_probable():
     assert probabilities({"slack": 600.0, "latent_heat": 9.0})["slack"] > 0.8
     close = probabilities({"latent_heat": 400.0, "opposing_wires": 392.0})
     assert close["latent_heat"] < 0.8 < sum(close[n] for n in list(close)[:2])
@@ -79,21 +79,21 @@ def test_the_better_of_two_is_named_and_one_that_is_nearly_as_good_stays_a_rival
     assert probabilities(together)["latent_heat+slack"] > 0.8
 
 
-def test_of_a_pair_whose_worse_half_does_less_than_a_tenth_that_half_is_a_remark():
+def test_an_effect_that_contributes_less_than_a_tenth_of_its_partner_is_a_remark():
     singles = {"slack": 300.0, "latent_heat": 9.0}
     for partner, found in ((1.9, {"slack+latent_heat": ("slack", "latent_heat")}), (2.1, {})):
         pair = {"slack+latent_heat": of_effect(400.0, partner=partner)}
         assert weighed(singles | pair).remarks() == found
 
 
-def test_what_gains_next_to_nothing_is_no_cause_and_what_leaves_everything_is_not_the_cause():
+def test_a_negligible_gain_is_no_cause_and_a_large_residual_means_unexplained():
     faint = probabilities({"slack": 1.0, "latent_heat": 0.5})
     assert faint["recalibration"] + faint["no_gap"] > 0.6 > 0.2 > faint["slack"]
     left = probabilities({"slack": 30.0}, beyond=900.0, left=LOUD)
     assert left["unexplained"] > 0.6 > left["slack"]
 
 
-def test_what_gains_must_do_so_with_each_record_and_everywhere_and_among_many_more():
+def test_gains_count_less_with_more_records_unsteady_or_small_sizes_and_more_effects():
     def slack(gain, others=(), **options):
         found = of_effect(gain, **options.pop("own", {}))
         return probabilities({"slack": found, **dict.fromkeys(others, -3.0)}, **options)["slack"]
@@ -115,8 +115,8 @@ NUMBERS = (RESISTANCE, LOSS, "wire.specific_heat", *STARTS, STROKE)
 
 
 def stages(moved, inputs=None, **probabilities):
-    """Of candidates, where recalibration has moved parameters by so many deviations."""
-    x = np.array([*(moved.get(name, 0.0) for name in NUMBERS), 5.0])  # a shape, of no stage
+    """Stages of candidates, if recalibration has moved parameters by these deviations."""
+    x = np.array([*(moved.get(name, 0.0) for name in NUMBERS), 5.0])  # a shape, without a stage
     candidates = []
     for name, probability in probabilities.items():
         candidates.append(Candidate(name.replace("_and_", "+"), probability))
@@ -134,15 +134,15 @@ def stages(moved, inputs=None, **probabilities):
     ({RESISTANCE: 0.5, LOSS: -3.0, "wire.specific_heat": 2.0, STROKE: 2.0}, "thermal"),
     ({RESISTANCE: 1.5, STARTS[0]: 4.0, STARTS[3]: -2.5}, "transformation"),
     ({STROKE: -3.0, STARTS[1]: 1.5}, "mechanical"),
-    # As far as believed, whatever their sum: that tells of no stage.
+    # Each within its prior, whatever their sum: no stage.
     (dict.fromkeys(STARTS, 1.2), ""),
 ])
-def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief(moved, stage):
+def test_recalibration_has_the_stage_whose_parameters_moved_beyond_their_priors(moved, stage):
     found = stages(moved, recalibration=0.7, temperature_lag=0.2, no_gap=0.1)
     assert found == ({stage: 0.7, "sensor": 0.2} if stage else {"sensor": 0.2})
-    # What nothing explains has that of the best effect else.
+    # `unexplained` has the same stage, or else that of the best effect.
     assert stages(moved, unexplained=0.7, temperature_lag=0.3)[stage or "mechanical"] == 0.7
-    # Or the stages at which a smooth input explains something, by how much.
+    # Or the stages at which a smooth input gains, by its gain.
     inputs = {"electrical": 400.0, "thermal": 4.0, "sensor": 0.0}
     shares = stages(moved, inputs, unexplained=0.7, temperature_lag=0.3)
     assert shares["electrical"] > 0.69 and shares["sensor"] == 0.3
@@ -152,7 +152,7 @@ def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief
     }
 
 
-def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_first():
+def test_an_effect_is_named_by_its_total_probability_and_the_larger_gain_first():
     pair, weighed = "latent_heat+slack", utilities({"latent_heat": 20.0, "slack": 90.0})
     alone = [Candidate("slack", 0.35), Candidate(pair, 0.3), Candidate("unexplained", 0.35)]
     assert verdict_of(alone) == "effect" and named(alone, weighed) == ("slack",)
@@ -164,11 +164,11 @@ def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_fir
     assert verdict_of(benign) == "no_gap"
 
 
-# --- What an experiment would settle.
+# --- The outcome of an experiment.
 
 
 def after(separations, **gains):
-    """Prospect of an experiment on effects that gain so much."""
+    """Prospect of an experiment on effects with these gains."""
     return prospect(utilities(gains), probabilities(gains), separations)
 
 
@@ -181,22 +181,22 @@ BOTH = ("slack", "residual_strain")
 ALL = (*BOTH, "recalibration")
 
 
-def test_a_tie_of_two_is_settled_where_they_differ_and_a_rival_does_not_stay_in_the_way():
+def test_an_experiment_settles_a_tie_only_if_it_separates_all_causes():
     tie = {"slack": 12.0, "residual_strain": 11.5}
     now, settled = probabilities(tie), after(apart(8.0, *ALL), **tie)
     possible = sum(now[name] for name in (*ALL, "no_gap"))
     assert settled.named == pytest.approx(possible, abs=1e-6) and settled.given > 0.8
-    told = after(apart(8.0, *ALL) | apart(0.5, *BOTH), **tie)
+    partly = after(apart(8.0, *ALL) | apart(0.5, *BOTH), **tie)
     before = after(apart(0.0, *ALL), **tie)
-    # Only that it is neither would be named.
-    assert told.named < now["recalibration"] + now["no_gap"] + 0.01
-    assert before.named == 0.0 and told.given < settled.given - 0.1
+    # Only recalibration or no gap could be named, neither of both.
+    assert partly.named < now["recalibration"] + now["no_gap"] + 0.01
+    assert before.named == 0.0 and partly.given < settled.given - 0.1
     rival = {"slack": 14.0, "residual_strain": 3.0, "transition_drift": 14.0}
     assert after(apart(1e3, *ALL), **rival).named < 0.1
     assert after(apart(1e3, *ALL, "transition_drift"), **rival).named > 0.9
 
 
-def test_another_law_in_recalibrations_place_leaves_every_answer_complete(monkeypatch):
+def test_candidates_stay_complete_if_another_law_replaces_recalibration(monkeypatch):
     monkeypatch.setattr(decision, "law_of", lambda fitted: (10.0, 50.0, {}))
     shares = {"recalibration": 0.6, "slack": 0.3, "unexplained": 0.06, "no_gap": 0.04}
     given = [

@@ -1,4 +1,4 @@
-"""The answer: by the contract, the same every time, from whatever was measured."""
+"""The result: as in the contract, reproducible, from any set of sensors."""
 
 import json
 import math
@@ -49,7 +49,7 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
     assert credible == tuple(c.name for c in candidates[: len(credible)])
 
 
-def test_an_experiment_separates_causes_as_they_are_named_next_to_another_law(monkeypatch,
+def test_an_experiment_names_causes_as_the_candidates_beside_another_law(monkeypatch,
                                                                               tmp_path):
     def proposed(candidates, *_):
         return NextExperiment("protocol", "to see", tuple(c.name for c in candidates), worth=0.5)
@@ -63,7 +63,7 @@ def test_an_experiment_separates_causes_as_they_are_named_next_to_another_law(mo
     assert any("transformation_law" in name for name in separates)
 
 
-def test_a_bench_that_its_lab_takes_for_one_that_stands_still_is_recalibrated(tmp_path):
+def test_a_bench_that_would_not_move_as_stated_is_recalibrated(tmp_path):
     # With the table's heat transfer, which nobody states, no wire would get warm enough to move.
     lab, unstated = believed(), {"wire.heat_transfer_coefficient", "wire.surface_area"}
     truth, steps = lab.replace({"wire.heat_transfer_coefficient": 150.0}), [LOW]
@@ -91,7 +91,7 @@ def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_rig, tmp_path):
     found = wire_diagnosis.improved["effect.supply_drop.resistance"]
     assert found == pytest.approx(0.3, abs=0.05)
     assert {c.signal for c in wire_diagnosis.where.table} == {"wire.current", "wire.temperature"}
-    # The single record holds out its own end.
+    # The last part of the single record is held out.
     border = 0.6 * drive()[0][-1]
     (unseen,), (seen,) = wire_diagnosis.held_out, wire_diagnosis.fitted
     assert min(s.time[0] for s in unseen.signals) >= border - 0.2
@@ -133,7 +133,7 @@ def test_no_record_one_that_ends_early_and_a_hold_out_that_is_fitted_too_are_ref
         diagnose([record, copy], believed())
 
 
-def test_a_record_whose_runs_are_swapped_is_told(wire_rig, tmp_path):
+def test_a_record_with_swapped_runs_is_reported(wire_rig, tmp_path):
     made = []
     for k, steps in enumerate(([LOW, HIGH, LOW], [HIGH, LOW, HIGH])):
         protocol = parse_protocol({"name": "rise", "steps": steps}, wire_rig)

@@ -1,5 +1,5 @@
-"""What is known of a record reaches its diagnosis: clocks are mended, doubted signals hold effects
-back. Synthetic records."""
+"""Faults of a record reach its diagnosis: clocks are repaired, suspect signals exclude effects.
+Synthetic records."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ STAIRCASE = np.repeat([0.0, 0.4, 0.8, 1.0, 0.8, 0.4, 0.0], 150)
 
 
 def record_of(volts=STAIRCASE):
-    """A wire of the lab's numbers under volts (n,) at 10 Hz, as its sensors read it."""
+    """Synthetic record at 10 Hz of a wire with the lab's parameters under volts (n,)."""
     time = np.arange(len(volts)) / 10.0
     run = sma_bench.simulate((time, volts[:, None]), LAB)
     record = sma_bench.measure(run, 1)
@@ -36,41 +36,41 @@ def record():
 
 
 def with_signals(record, **changes):
-    """The record with signals of its wire that differ so."""
+    """The record with these changes to signals of its wire."""
     changed = {f"wire.{n}": replace(record[f"wire.{n}"], **more) for n, more in changes.items()}
     return replace(record, signals=record.signals | changed)
 
 
 def with_temperature(record, **more):
-    """As mended, and what was found; the temperature differs so."""
+    """The repaired record and the findings, after these changes to the temperature."""
     return mended(with_signals(record, temperature=more))
 
 
-def test_a_clock_of_another_time_is_moved_back_and_a_contradicted_variance_left_out(record):
+def test_a_clock_offset_is_corrected_and_a_far_too_small_variance_is_dropped(record):
     own = record["wire.temperature"].time
-    for off in (37.0, -37.0, 0.4):  # of the last a message is there before its stamp
+    for off in (37.0, -37.0, 0.4):  # with the last, messages arrive before their timestamps
         sound, (found,) = with_temperature(record, time=own + off)
         assert found.subject == "wire.temperature"
         assert found.numbers["offset"] == pytest.approx(-off, abs=0.01)
         assert sound["wire.temperature"].time == pytest.approx(own)
-    # A picture that takes its time keeps its right stamp.
+    # An image that arrives late keeps its timestamp, which may be right.
     sound, found = with_temperature(record, received=own + 0.4)
     assert not found and sound["wire.temperature"].time is own
-    assert [f.subject for f in under_suspicion(sound)] == ["wire.temperature"]  # or has a wrong one
+    assert [f.subject for f in under_suspicion(sound)] == ["wire.temperature"]  # or is wrong
     sound, (found,) = with_temperature(record, std=np.full(len(own), 1e-6))
     assert sound["wire.temperature"].std is None and found.subject == "wire.temperature"
     assert not with_temperature(record, std=np.full(len(own), found.numbers["scatter"]))[1]
 
 
-def test_readings_that_are_published_again_count_once_and_those_of_few_digits_all(record):
-    """A node that sends the last reading ten times a second, of a sensor that reads twice."""
+def test_repeated_readings_count_once_but_coarse_readings_all_count(record):
+    """A node publishes the last reading ten times a second; its sensor reads twice a second."""
     own = record["wire.temperature"]
     sound, (found,) = with_temperature(record, values=np.repeat(own.values[::5], 5))
     assert found.subject == "wire.temperature" and found.numbers["times"] == pytest.approx(5.0)
     kept = sound["wire.temperature"]
     assert np.array_equal(kept.values, own.values[::5]) and len(kept.received) == len(kept.time)
     assert np.array_equal(kept.time, own.time[::5])
-    for period, digits in ((0.237, 9), (0.237, 1), (0.63, 9)):  # rows seen late by up to one
+    for period, digits in ((0.237, 9), (0.237, 1), (0.63, 9)):  # rows that appear up to one late
         times = np.arange(0.0, own.time[-1], period)
         read = np.round(np.interp(times, own.time, own.values), digits)
         held = read[np.searchsorted(times, own.time, side="right") - 1]
@@ -82,20 +82,20 @@ def test_readings_that_are_published_again_count_once_and_those_of_few_digits_al
 
 
 @pytest.mark.parametrize("wrong", [999.9, 0.0])
-def test_single_readings_far_off_are_left_out_and_named(record, wrong):
+def test_single_outliers_are_left_out_and_reported(record, wrong):
     own, at = record["wire.temperature"].values, [200, 700]
     values = own.copy()
     values[at] = wrong
     sound, (found,) = with_temperature(record, values=values)
     assert sound["wire.temperature"].values == pytest.approx(np.delete(own, at))
     assert found.numbers["outliers"] == 2.0
-    # A reading of few digits flickers by its last one, which is none.
+    # A coarse reading that flickers in its last digit has no outliers.
     slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
     slow[[100, 300, 800]] += 0.1
     assert not with_temperature(record, values=np.round(slow, 1))[1]
 
 
-def test_a_sensor_that_only_flickers_does_not_drop_out():
+def test_noise_of_a_resting_sensor_is_no_dropout():
     values = np.round(0.1 + 1e-4 * np.random.default_rng(1).standard_normal(5000), 4)
     tip = sma_bench.Signal("front.range", "m", np.arange(5000) / 50.0, values)
     assert not len(outliers(tip))
@@ -104,13 +104,13 @@ def test_a_sensor_that_only_flickers_does_not_drop_out():
 
 
 @pytest.mark.parametrize(("volts", "begin", "end", "kept"), [
-    (STAIRCASE, 20.0, 50.0, (50.0, 105.0)),  # two steps unseen: the longer piece is left
-    (STAIRCASE, 17.0, 29.0, (0.0, 105.0)),  # held
+    (STAIRCASE, 20.0, 50.0, (50.0, 105.0)),  # two steps unseen: the longer piece remains
+    (STAIRCASE, 17.0, 29.0, (0.0, 105.0)),  # constant voltage
     (STAIRCASE, 40.0, 41.5, (0.0, 105.0)),  # as brief as a late message
-    (np.linspace(0.0, 1.0, 1050), 20.0, 50.0, (0.0, 105.0)),  # a ramp goes on
+    (np.linspace(0.0, 1.0, 1050), 20.0, 50.0, (0.0, 105.0)),  # a ramp continues
     (np.interp(np.arange(1050), [0, 500, 1000], [0, 1, 0]), 40.0, 75.0, (0.0, 40.0)),
 ])
-def test_of_a_record_whose_drive_went_unseen_the_longest_piece_is_compared(volts, begin, end, kept):
+def test_only_the_longest_piece_with_a_recorded_drive_is_compared(volts, begin, end, kept):
     record = record_of(volts)
     seen = {n: (s, (s.time <= begin) | (s.time >= end)) for n, s in record.signals.items()}
     gaps = {n: replace(s, time=s.time[k], values=s.values[k], received=s.received[k])
@@ -129,7 +129,7 @@ def test_a_random_binary_drive_is_no_switched_supply(hold):
 
 
 def turned(record):
-    """A current that runs against its voltage."""
+    """A current of the sign opposite to its voltage."""
     return with_signals(record, current={"values": -record["wire.current"].values})
 
 
@@ -147,16 +147,16 @@ def switched(record):
     return with_signals(record, voltage={"values": volts}, current={"values": amperes})
 
 
-@pytest.mark.parametrize(("changed", "said", "held_back"), [
+@pytest.mark.parametrize(("changed", "reported", "excluded"), [
     (turned, "wire.current", ()), (clipped, "clipped", ("temperature_lag",)),
     (switched, "PWM", ("temperature_lag", "supply_drop", "latent_heat")),
 ])
-def test_what_is_wrong_with_a_record_is_said_and_no_cause(record, changed, said, held_back):
+def test_a_fault_of_a_record_is_reported_and_is_no_cause(record, changed, reported, excluded):
     found = sma_bench.diagnose(changed(record), LAB)
     assert found.cause == ()
     line = found.to_json()["record"][0]
-    assert said in line and line.split("held back")[0] in " ".join(str(found).split())
-    assert not set(held_back) & {c.name for c in found.candidates}
+    assert reported in line and line.split("held back")[0] in " ".join(str(found).split())
+    assert not set(excluded) & {c.name for c in found.candidates}
     assert (changed is switched) == (len(found.candidates) == 3)
 
 
@@ -171,7 +171,7 @@ def test_levels_beyond_a_sensors_range_are_left_out_of_a_staircase():
     assert clipped.n < h.n and clipped.value == pytest.approx(h.value, rel=0.02)
 
 
-def test_currents_at_the_end_of_their_sensor_are_left_out_where_the_voltage_stands_too():
+def test_clipped_currents_are_left_out_even_where_the_voltage_is_constant():
     volts = np.concatenate([STAIRCASE, np.full(100, 0.8), np.zeros(100)])
     whole = record_of(volts)
     cut = with_signals(whole, current={"values": np.minimum(whole["wire.current"].values, 0.2)})
@@ -180,7 +180,7 @@ def test_currents_at_the_end_of_their_sensor_are_left_out_where_the_voltage_stan
     assert found.numbers["count"] == pytest.approx(np.sum(volts > 0.7), abs=3)
 
 
-def test_a_far_too_large_specific_heat_is_said_to_be_a_thermometer_that_lags():
+def test_a_far_too_large_specific_heat_is_reported_as_a_lagging_thermometer():
     levels = np.repeat([0.0, 0.2, 0.4, 0.6, 0.4, 0.2, 0.0], 400)
     read = record_of(np.append(levels, np.interp(np.arange(2400), [0, 1200, 2400], [0, 0.4, 0])))
     kelvin = read["wire.temperature"].values
@@ -190,7 +190,7 @@ def test_a_far_too_large_specific_heat_is_said_to_be_a_thermometer_that_lags():
 
 
 @pytest.mark.parametrize("wrong", ["swapped", "out of range", "late", "turned"])
-def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong):
+def test_common_faults_of_real_benches_are_reported_and_name_no_effect(tmp_path, wrong):
     """Channels swapped at the plug, a tip that leaves its sensor's range, voltages that are stamped
     when they are commanded, an axis that points the other way: nothing is wrong with the bench."""
 
@@ -208,16 +208,16 @@ def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong
     seen, unseen = ([as_read(r) for r in some] for some in planted_pair(tmp_path))
     found = sma_bench.diagnose(seen, believed(), unseen)
     assert found.cause == () and found.candidates[0].name == "recalibration"
-    said = {"swapped": "channels swapped", "out of range": "clipped", "late": "different clocks",
-            "turned": "its sign is turned"}
-    assert said[wrong] in (lines := " ".join(found.record))
+    reported = {"swapped": "channels swapped", "out of range": "clipped",
+                "late": "different clocks", "turned": "its sign is turned"}
+    assert reported[wrong] in (lines := " ".join(found.record))
     assert ("are left out for that" in lines) == (wrong in ("swapped", "out of range"))
     after = {q: s.rmse_after / s.noise_floor for q, s in found.shrinkage.items()}
     assert wrong == "late" or max(after.values()) < 1.2
     assert ("temperature" in after) == (wrong != "swapped")
 
 
-def test_what_a_sensor_is_stated_to_do_is_no_cause(record):
+def test_a_stated_lag_and_spot_share_of_a_sensor_are_no_cause(record):
     """A thermocouple whose lag, and whose share of the wire's rise, its owner knows."""
     own = record["wire.temperature"].values
     slow = first_order_lag(own - 296.0, float(np.exp(-0.1 / 2.0)))
@@ -230,7 +230,7 @@ def test_what_a_sensor_is_stated_to_do_is_no_cause(record):
     assert kelvin < 0.5 < 3.0 < np.ptp(own)
 
 
-def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_them():
+def test_unstated_numbers_are_fitted_so_well_that_no_effect_gains():
     drawn = {"resistance": 1.3, "heat_transfer_coefficient": 600.0, "specific_heat": 480.0}
     rig = {name: value for name, value in LAB.items() if name.startswith(("bench", "load"))}
     time = np.arange(1200) / 10.0
@@ -242,13 +242,13 @@ def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_t
     assert max(c.log_evidence for c in found.candidates) < 2.0
 
 
-def test_a_record_of_which_nothing_is_left_has_no_gap(record):
+def test_an_empty_record_has_no_unseen_drive(record):
     empty = replace(record, signals={})
     assert without_unseen_drive(empty) == (empty, [])
 
 
-def test_a_wire_that_stays_cold_expands_and_is_not_turned():
-    """Its length not stated: 40 um of expansion, read with as much noise, were a sign to turn."""
+def test_the_expansion_of_a_cold_wire_is_not_taken_for_a_reversed_sign():
+    """Its length is not stated; 40 um of expansion in as much noise could look inverted."""
     spring = {"load.kind": "spring", "load.stiffness": 1000.0, "load.preload": 5.0}
     bench = {k: v for k, v in (LAB | spring).items() if not k.startswith("uncertainty.")}
     time = np.arange(0.0, 120.0, 0.02)
@@ -259,7 +259,7 @@ def test_a_wire_that_stays_cold_expands_and_is_not_turned():
     seen = grows + 1e-5 * np.random.default_rng(3).standard_normal(len(time))
     cold = replace(still, time=time, values=np.round(seen, 5), std=None)
     stated = sma_bench.load_parameters(bench)
-    # A motion of millimetres is none of expansion.
+    # A motion of millimetres is no expansion.
     for times, turned in ((1.0, []), (100.0, ["elongation"])):
         tip = replace(cold, values=times * cold.values)
         held = replace(record, signals=record.signals | {"elongation": tip})

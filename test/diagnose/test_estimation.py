@@ -1,5 +1,5 @@
-"""The engine of a diagnosis: a record in bins and phases, what a fit may move, errors that hold a
-misfit, and how far the gap of a record that is held out shrinks."""
+"""The engine of a diagnosis: records in bins and phases, unknowns of a fit, errors that cover a
+misfit, and shrinkage on a held-out record."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -52,7 +52,7 @@ def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_
     assert temperature.noise == pytest.approx(NOISE["temperature"] / np.sqrt(10.0), rel=0.15)
 
 
-def test_what_cannot_be_compared_is_named():
+def test_a_record_that_cannot_be_compared_is_refused():
     time, voltage = drive()
     record = record_of(time, voltage.T, Signal("force", "N", time, np.ones_like(time)))
     with pytest.raises(InputError, match="made_up"):
@@ -62,7 +62,7 @@ def test_what_cannot_be_compared_is_named():
         observe(Record("made_up", 0, {tip.name: tip}), believed())
 
 
-def test_cells_begin_at_the_jumps_and_are_short_after_them():
+def test_grid_cells_begin_at_jumps_and_are_short_after_them():
     time = np.arange(0.0, 30.0, 0.02)
     first = 2.2 * ((time > 3.0) & (time < 8.0))
     second = 1.8 * ((time > 14.0) & (time < 20.0))
@@ -76,16 +76,16 @@ def test_cells_begin_at_the_jumps_and_are_short_after_them():
     after = view.grid[(view.grid > view.drive.late[0]) & (view.grid < view.drive.late[0] + 0.4)]
     assert np.max(np.diff(after)) < 0.011
     assert np.max(np.diff(view.grid)) < 0.11
-    # What a step does is read to a tenth of the noise of a fine simulation.
+    # The response to a step is within a tenth of the noise of a fine simulation.
     fine = np.arange(0.0, 30.0, 1e-3)
-    course = view.simulate(true_bench())
+    run = view.simulate(true_bench())
     held = np.interp(fine, view.grid, np.arange(len(view.grid)))
     volts = view.voltage[held.astype(int)]
     exact = simulate(true_bench(), fine, volts).temperature[:, 0]
-    assert np.max(np.abs(np.interp(view.grid, fine, exact) - course.temperature[:, 0])) < 0.05
+    assert np.max(np.abs(np.interp(view.grid, fine, exact) - run.temperature[:, 0])) < 0.05
 
 
-def test_a_true_model_takes_a_gap_away_and_what_another_leaves_may_be_more_elsewhere(tmp_path):
+def test_the_true_model_removes_the_gap_and_another_has_a_wide_interval(tmp_path):
     wanted = {"quantities": ("deflection",)}
     records = [planted_record(tmp_path / f"{k}", turned=k > 0, **wanted) for k in range(2)]
     shortest = shared_bin(records, believed())
@@ -103,10 +103,10 @@ def test_a_true_model_takes_a_gap_away_and_what_another_leaves_may_be_more_elsew
     assert wide.fraction <= wide.ci90[1] <= 1.0
 
 
-# --- What a fit may move: it begins at what is believed, and comes back from its own numbers.
+# --- Unknowns of a fit.
 
 
-def test_numbers_begin_at_what_is_believed_and_come_back_from_their_deviations():
+def test_unknowns_start_at_stated_values_and_convert_to_deviations_and_back():
     for number in (number for effect in EFFECTS.values() for number in effect.parameters):
         unknown = of_fits.number_of_effect(number)
         assert unknown.value(0.0) == number.default
@@ -120,7 +120,7 @@ def test_numbers_begin_at_what_is_believed_and_come_back_from_their_deviations()
 
 
 @pytest.mark.parametrize("back", [None, 5.2e9])
-def test_sides_believed_alike_are_recalibrated_together_and_others_apart(back):
+def test_sides_stated_alike_are_recalibrated_together_and_others_apart(back):
     lab = believed().replace({BACK: back} if back else {})
     unknowns = unknowns_of_records(lab, QUANTITIES)
     assert (BACK in unknowns.bench_names) == bool(back)
@@ -129,7 +129,7 @@ def test_sides_believed_alike_are_recalibrated_together_and_others_apart(back):
     moved = unknowns.parameters(x)
     assert moved[FRONT] > 1.05 * lab[FRONT]
     assert moved[BACK] == pytest.approx(back or moved[FRONT])
-    # What is known of both factors of a product is carried by one.
+    # One of two factors of a product carries the uncertainty of both.
     heat = next(item for item in unknowns.items if item.name == "wire.specific_heat")
     mass, own = lab.std("wire.mass") / lab["wire.mass"], lab.std("wire.specific_heat")
     assert heat.partner == "wire.mass" and heat.own_std == own
@@ -151,7 +151,7 @@ def rig(load, values=None, stds=None):
 
 @st.composite
 def statements(draw):
-    """Numbers and deviations that a file can state, exact to absurd, some at an end."""
+    """Values and uncertainties that a file can state, exact to absurd, some at a bound."""
     values, stds = {}, {}
     for name in draw(st.sets(st.sampled_from(STATED), max_size=6)):
         low, high = BY_NAME[name].low, BY_NAME[name].high
@@ -182,9 +182,9 @@ def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated
     assert np.all(np.isfinite(unknowns.turn(x))) and np.all(np.isfinite(unknowns.slopes(x)))
 
 
-def test_temperatures_are_as_well_known_as_they_are_stated():
-    """Each by itself, whatever the coordinates in which they are moved; the rest of the prior is
-    that of wires of the field, given these."""
+def test_temperatures_have_their_stated_uncertainties():
+    """Each one alone, whatever coordinates a fit uses; the rest of the prior is that of wires in
+    the field, given these."""
     stds = dict(zip(TEMPERATURES, (1.1, 0.4, 2.0, 1.5), strict=True))
     unknowns = unknowns_of_records(rig("beam", {}, stds), QUANTITIES)
     items = {item.name: item.std for item in unknowns.items}
@@ -193,7 +193,7 @@ def test_temperatures_are_as_well_known_as_they_are_stated():
     found = {item.name: item.std for item in wide.items}
     assert found[TEMPERATURES[0]] == pytest.approx(1.1)
     assert all(3.0 < found[name] < 20.0 for name in TEMPERATURES[1:])
-    # Of what nobody states every draw keeps a hysteresis.
+    # If nobody states them, every draw has a hysteresis.
     unknowns = unknowns_of_records(rig("spring"), QUANTITIES)
     at = [unknowns.names.index(name) for name in TEMPERATURES]
     drawn = np.random.default_rng(3).standard_normal((2000, len(unknowns.items)))
@@ -203,7 +203,7 @@ def test_temperatures_are_as_well_known_as_they_are_stated():
     assert np.std(np.mean(values, axis=1)) == pytest.approx(25.0, rel=0.1)
 
 
-def test_a_deviation_of_0_is_exact():
+def test_an_uncertainty_of_0_is_exact():
     for name in (*of_fits.SHAPES, "wire.resistance", FRONT, "load.stiffness", *TEMPERATURES[1:3]):
         unknowns = unknowns_of_records(rig("spring", {}, {name: 0.0}), QUANTITIES, unmodelled=True)
         assert name not in unknowns.names
@@ -212,7 +212,7 @@ def test_a_deviation_of_0_is_exact():
         assert there[name] == pytest.approx(unknowns.base[name])
 
 
-def test_of_unstated_grains_centres_and_widths_of_hystereses_are_moved_apart():
+def test_centres_and_hysteresis_widths_of_unstated_grains_move_independently():
     wire = of_fits.as_in_the_field(rig("spring", {"wire.law": "normal"}))
     unknowns = unknowns_of_records(wire, ("deflection",), unmodelled=True)
     spread, first = (unknowns.names.index(name) for name in (of_fits.SPREAD, TEMPERATURES[0]))
@@ -229,8 +229,8 @@ def test_of_unstated_grains_centres_and_widths_of_hystereses_are_moved_apart():
     x[first : first + 4] = 0.3, -0.2, 0.4, 0.1
     steps = 1e-5 * np.eye(len(x))
     changes = [unknowns.values(x + step) - unknowns.values(x - step) for step in steps]
-    told = unknowns.slopes(x)[:, np.newaxis] * unknowns.turn(x)
-    np.testing.assert_allclose(told, np.transpose(changes) / 2e-5, rtol=1e-3, atol=1e-3)
+    slopes = unknowns.slopes(x)[:, np.newaxis] * unknowns.turn(x)
+    np.testing.assert_allclose(slopes, np.transpose(changes) / 2e-5, rtol=1e-3, atol=1e-3)
     # Wherever it goes there is a wire of that law.
     for reach in (1.0, 5.0, np.inf):
         for ends in np.random.default_rng(5).choice([-1.0, 1.0], (40, len(x))):
@@ -241,8 +241,8 @@ def test_of_unstated_grains_centres_and_widths_of_hystereses_are_moved_apart():
 
 
 def fitted_height(random, uneven):
-    """The least squares height of pulses that truly are 1 high in the mean, each off by `uneven`
-    of a standard deviation, in white noise of 1; of two records of six pulses each."""
+    """Least squares fit of the height of pulses, whose true heights have mean 1 and standard
+    deviation `uneven`, in white noise of 1; two records of six pulses each."""
     true = np.repeat(1.0 + uneven * random.standard_normal(PULSES), 100) * HEIGHT
     measured = true + random.standard_normal(len(true))
     information = HEIGHT @ HEIGHT + 1.0
@@ -263,7 +263,7 @@ def fitted_height(random, uneven):
 
 
 def held(uneven):
-    """Shares of 90 % intervals that hold the height: by the noise alone, and as stated."""
+    """Shares of 90 % intervals that contain the height: from the noise alone, and jackknifed."""
     random = np.random.default_rng(3)
     fits = [fitted_height(random, uneven) for _ in range(250)]
     off = np.array([abs(f.x[0] - 1.0) for f in fits])
@@ -273,13 +273,13 @@ def held(uneven):
     ]
 
 
-def test_errors_hold_a_misfit_that_differs_from_pulse_to_pulse_and_else_the_noise():
+def test_errors_cover_a_misfit_that_differs_between_pulses_and_else_the_noise():
     noise_alone, stated = held(uneven=1.0)
     assert noise_alone < 0.5
     assert 0.8 < stated < 0.95
     noise_alone, stated = held(uneven=0.0)
     assert noise_alone > 0.86 and stated < 0.96
-    # And are never above what was known, nor where one reading beyond all measure tells everything.
+    # They never exceed the prior's, even if one reading carries all the information.
     fitted = fitted_height(np.random.default_rng(4), uneven=50.0)
     derivatives = np.vstack([[1e20], fitted.derivatives[1:]])
     assert fitted.jackknifed[0] == replace(fitted, derivatives=derivatives).jackknifed[0] == 1.0

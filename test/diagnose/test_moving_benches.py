@@ -19,7 +19,7 @@ CASES = {"force": ({"effect.latent_heat.heat": 9e3}, DUTY),
 
 
 def diagnosed(load, effect, drive=()):
-    """Of a minute each of triangles and steps; sines are held out."""
+    """Diagnosis from a minute each of triangles and steps; sines are held out."""
     believed, random = moving_lab(load, drive), np.random.default_rng(4)
     off = {n: believed[n] + believed.std(n) * random.standard_normal() for n in MOVED}
     bench = believed.replace({**off, **effect})
@@ -34,21 +34,21 @@ def diagnosed(load, effect, drive=()):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("load", CASES)
-def test_what_was_planted_is_named_from_motion_and_voltage(load):
+def test_a_planted_effect_is_named_from_motion_and_voltage(load):
     effect, drive = CASES[load]
     found = diagnosed(load, effect, drive)
     ((number, size),) = effect.items()
     first = found.to_json()["candidates"][0]
     assert (first["name"], found.verdict) == (number.split(".")[1], "effect")
-    told = first["parameters"][number]
-    assert abs(told["value"] - size) < 4.0 * told["std"]
+    found_size = first["parameters"][number]
+    assert abs(found_size["value"] - size) < 4.0 * found_size["std"]
     assert found.shrinkage["deflection"].fraction > 0.8
     assert {o.quantities for o in found.observations} == {("deflection",)}
     assert bool(found.to_json()["where"]["side"]) == (load == "antagonist")
     assert ("side" in f"{found} {' '.join(found.to_json()['why'])}") == (load == "antagonist")
 
 
-def test_an_effect_beside_an_imposed_motion_is_named_by_the_force():
+def test_an_effect_under_imposed_motion_is_named_from_the_force():
     believed = moving_lab("displacement")
     bench = believed.replace({"effect.residual_strain.share": 0.15})
     seen = [
@@ -64,7 +64,7 @@ def test_an_effect_beside_an_imposed_motion_is_named_by_the_force():
     assert "deflection_drift" not in {name for c in found.candidates for name in c.effects}
 
 
-def test_a_drive_of_its_one_wire_is_proposed_where_parameters_may_hide_an_effect():
+def test_a_drive_of_the_single_wire_is_proposed_if_parameters_may_hide_an_effect():
     found = diagnosed("spring", {"effect.latent_heat.heat": 1e3})
     proposed = found.to_json()["next_experiment"]
     assert found.verdict != "effect" and "latent_heat" in proposed["separates"]
@@ -74,18 +74,18 @@ def test_a_drive_of_its_one_wire_is_proposed_where_parameters_may_hide_an_effect
 
 
 @pytest.mark.parametrize("load", LOADS)
-def test_an_effect_that_is_stated_is_moved_under_its_prior_and_no_candidate(load):
+def test_a_stated_effect_is_fitted_under_its_prior_and_is_no_candidate(load):
     name = "effect.latent_heat.heat"
     for value, std in ((0.0, 4e3), (6e3, 0.0)):
         rig = moving_lab(load, {name: value}, {name: std})
         unknowns = unknowns_of_records(rig, ("deflection",))
         found = [(item.mean, item.std) for item in unknowns.items if item.name == name]
-        assert found == [(value, std)] * (std > 0.0)  # of none it is exact
+        assert found == [(value, std)] * (std > 0.0)  # exact with an uncertainty of 0
         assert "latent_heat" not in search.possible_effects(rig, ("deflection",))
 
 
 @pytest.mark.parametrize("load", ["force", "spring", "antagonist"])
-def test_friction_is_unknown_where_it_is_stated_and_then_no_wire_hangs_slack(load):
+def test_stated_friction_is_fitted_and_excludes_slack(load):
     for given, stds, moved in (({}, {}, False), ({}, {"load.friction": 0.2}, True),
                                ({"load.friction": 0.5}, {}, True),
                                ({"load.friction": 0.5}, {"load.friction": 0.0}, False)):

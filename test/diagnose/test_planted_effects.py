@@ -1,5 +1,5 @@
-"""An effect planted in a record is named, and its size found, whatever is measured; and where none
-is, none is declared, whatever colour the noise has."""
+"""A planted effect is named and its size found with any set of sensors; without one none is named,
+whatever the spectrum of the noise."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +35,7 @@ pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 VISCOUS = "effect.viscoelastic_matrix"
 CASES = [
     ({f"{VISCOUS}.relaxation": 0.25, f"{VISCOUS}.time_constant": 5.0}, ALL, FEW),
-    # With the whole library, and motion alone.
+    # With all effects as candidates, from the deflection alone.
     ({"effect.residual_strain.share": 0.12}, ("deflection",), tuple(EFFECTS)),
     ({"effect.residual_strain.share": 0.12, "effect.residual_strain.recovery": 0.05}, ALL[1:],
      ("residual_strain", "transition_drift", "viscoelastic_matrix")),
@@ -72,13 +72,13 @@ def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tm
     assert deflection.fraction > 0.8
     assert deflection.rmse_after < 0.3 * deflection.rmse_before
     shown = {name for name in library if set(EFFECTS[name].acts_on) & set(quantities)}
-    competing = {c.name for c in result.candidates} | {LAW_EFFECT}  # which all of them have
+    competing = {c.name for c in result.candidates} | {LAW_EFFECT}  # part of every candidate
     assert shown | {"recalibration", "no_gap", "unexplained"} <= competing
 
 
 @pytest.mark.slow
-def test_a_record_begins_with_what_stayed_in_the_bench_in_the_one_before():
-    """Two records of one run, which rests between them: no wire of the second is new any more."""
+def test_residual_strain_is_carried_over_into_the_next_record():
+    """Two records of one run with a rest between them: wires of the second were heated before."""
     numbers, random = {"effect.residual_strain.share": 0.12}, np.random.default_rng(3)
     bench, fine = true_bench(numbers), FINER * RATE
     (time, volts), (_, turned) = drive(rate=fine), drive(turned=True, rate=fine)
@@ -110,8 +110,8 @@ def test_a_record_begins_with_what_stayed_in_the_bench_in_the_one_before():
 @pytest.mark.slow
 @pytest.mark.parametrize(("switched", "lag"), [(0.04, 0.0), (0.46, 0.0), (0.46, 1.5)])
 def test_a_slow_loggers_loop_is_no_lag_of_a_sensor(switched, lag):
-    """It reads volts twice a second, and always switches at the same moment between two readings,
-    its lag found all the same."""
+    """A logger reads the voltage twice a second, and the drive always switches at the same moment
+    between two readings; a real lag of the sensor is still found."""
     lab = believed().replace(ONE_WIRE)
     bench, records = lab.replace({"effect.temperature_lag.time_constant": lag}), []
     for name, seed in (("seen", 1), ("unseen", 2)):
@@ -134,7 +134,7 @@ def test_a_slow_loggers_loop_is_no_lag_of_a_sensor(switched, lag):
         assert found.effects["temperature_lag"] < 0.1
 
 
-def test_sides_that_heat_each_other_are_found_with_every_sensor_and_where(planted_diagnosis):
+def test_heat_coupling_between_sides_is_found_and_located_with_all_sensors(planted_diagnosis):
     expect(planted_diagnosis, COUPLING)
     ((number, size),) = COUPLING.items()
     assert planted_diagnosis.improved[number] == pytest.approx(size, rel=0.05)
@@ -154,7 +154,7 @@ def test_the_gap_shrinks_on_the_record_that_was_held_out(planted_diagnosis):
         assert s.fraction > 0.9 and s.ci90[0] <= s.fraction <= s.ci90[1] <= 1.0
         assert s.rmse_after == pytest.approx(s.noise_floor, rel=0.15)
         assert s.rmse_before > 3.0 * s.noise_floor
-    # What the effect leaves is noise.
+    # The residual of the effect's fit is noise.
     problem, left = planted_diagnosis.model.problem, planted_diagnosis.model.left
     white = problem.whiten(left)
     assert white.std() == pytest.approx(1.0, abs=0.1)
@@ -162,7 +162,7 @@ def test_the_gap_shrinks_on_the_record_that_was_held_out(planted_diagnosis):
 
 
 @pytest.mark.slow
-def test_parameters_that_are_off_are_not_taken_for_an_effect_by_a_sensor_that_drifts(tmp_path):
+def test_wrong_parameters_and_a_drifting_sensor_are_not_taken_for_an_effect(tmp_path):
     seen, unseen = planted_pair(tmp_path, kind="drifting", quantities=ALL[1:])
     with few_effects():
         result = diagnose(seen, believed(), unseen)
@@ -171,7 +171,7 @@ def test_parameters_that_are_off_are_not_taken_for_an_effect_by_a_sensor_that_dr
     assert sum(c.probability for c in result.candidates if c.effects) < 0.35
 
 
-def test_a_bench_that_is_as_believed_has_no_gap(tmp_path):
+def test_a_bench_that_is_as_stated_has_no_gap(tmp_path):
     seen, unseen = planted_pair(tmp_path, quantities=("deflection",), bench=believed())
     with few_effects():
         result = diagnose(seen, believed(), unseen)
@@ -182,7 +182,7 @@ def test_a_bench_that_is_as_believed_has_no_gap(tmp_path):
     assert deflection.rmse_before == pytest.approx(deflection.noise_floor, rel=0.1)
 
 
-def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewise(tmp_path):
+def test_a_wrong_parameter_is_named_and_no_effect_that_acts_alike(tmp_path):
     lab, name = believed(), "wire.stress_influence_austenite"
     bench = lab.replace({name: lab[name] + 5.0 * lab.std(name)})
     quantities = ("temperature", "deflection")
@@ -194,7 +194,7 @@ def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewi
     assert result.improved[name] == pytest.approx(bench[name], abs=2.0 * lab.std(name))
 
 
-def test_a_supply_that_gives_way_at_a_small_current_is_found_where_none_is_recorded(tmp_path):
+def test_a_supply_overloaded_at_a_small_current_is_found_without_a_recorded_current(tmp_path):
     """Wires that take a third of the current for the same heat."""
     lab, factors = believed(), {"wire.resistance": 3.0, "wire.heat_transfer_coefficient": 1 / 3.0,
                                 "wire.mass": 1 / 3.0}
@@ -219,8 +219,8 @@ ROOM, DRAUGHT, STROKE = ("environment.ambient_temperature", "wire.heat_transfer_
 @pytest.mark.parametrize("away", [{ROOM: 2.0}, {DRAUGHT: 5.0}, {STROKE: 0.0008}],
                          ids=["room", "draught", "stroke"])
 def test_a_run_of_another_day_is_no_cause(away, tmp_path):
-    """Rooms, draughts and strokes differ from run to run; sides that are driven in one record each
-    would take the difference for their own."""
+    """Air temperature, draughts and strokes differ from run to run; if each record drives another
+    side, the difference could be taken for one of the sides."""
     bench, records = true_bench(), []
     for name, more in (("monday", {}), ("tuesday", {n: bench[n] + d for n, d in away.items()})):
         there, turned = bench.replace(more), bool(more)
@@ -241,7 +241,7 @@ def test_a_run_of_another_day_is_no_cause(away, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", [{}, COUPLING], ids=["none", "coupling"])
-def test_a_record_that_begins_with_warm_wires_is_looked_at_when_they_have_cooled(effect, tmp_path):
+def test_a_record_that_begins_with_warm_wires_is_compared_after_they_have_cooled(effect, tmp_path):
     (seen,), (unseen,) = planted_pair(tmp_path, effect)
     records = []
     for record in (seen, unseen):
@@ -256,12 +256,12 @@ def test_a_record_that_begins_with_warm_wires_is_looked_at_when_they_have_cooled
     assert any("left out" in line for line in found.record)
 
 
-def test_a_zero_that_nobody_has_set_is_that_of_the_first_records_rest(tmp_path):
+def test_an_unset_zero_is_taken_from_the_rest_of_the_first_record(tmp_path):
     records, set_up = [], 0.006  # m, of a laser's housing
     for name, begin in (("first", 1_760_000_000), ("second", 1_760_000_600)):
         record = planted_record(tmp_path / name, quantities=("deflection",))
         tip = record["deflection"]
-        # The second rests bent: that is the bench's doing.
+        # The second record rests bent, which is real.
         bent = 0.003 if records else 0.0
         signals = record.signals | {"deflection": replace(tip, values=tip.values + set_up + bent)}
         records.append(replace(record, start_ns=begin * 10**9, signals=signals))

@@ -1,4 +1,4 @@
-"""A smooth input names the stage of what no effect is like, and when it acts."""
+"""A smooth input finds the stage of an unknown disturbance, and when it acts."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ BENCH = true_bench()
 
 
 def found_in(record, measured=ALL):
-    """The bench's fit to a record, and what an input to each stage gains over it."""
+    """The bench's fit to a record, and the best input to each stage."""
     problem = Problem.of([observe(record, BENCH, 0.2, measured)])
     fitted = fit(problem, unknowns_of(BENCH, (), shapes={}), np.zeros(0), rounds=1)
     return fitted, process_noise(fitted)
@@ -36,25 +36,25 @@ def changed(record, of, by):
 
 
 @pytest.mark.parametrize(("of", "by", "measured", "stage"), [
-    ("voltage", -0.06, ALL, "electrical"),  # more than was recorded
+    ("voltage", -0.06, ALL, "electrical"),  # the true voltage is higher than recorded
     ("voltage", -0.06, ALL[1:], "electrical"),
     ("air", 8.0, ALL, "thermal"),
     ("deflection", 0.08, ALL, "mechanical"),
     ("temperature", 0.06, ALL, "sensor"),
     ("current", 0.05, ALL, "sensor"),  # its reading alone
 ])
-def test_the_stage_that_something_acts_on_gains_most_and_when(of, by, measured, stage, tmp_path):
+def test_the_disturbed_stage_gains_most_and_the_time_is_found(of, by, measured, stage, tmp_path):
     air = {"gust": by, "instant": START, "fading": 4.0} if of == "air" else {}
     real = BENCH.replace({f"effect.ambient_drift.{n}": v for n, v in air.items()})
     record = planted_record(tmp_path / "bag", bench=real, quantities=measured)
     fitted, inputs = found_in(changed(record, of, by), measured)
     first, second, *_ = inputs
     assert first == stage and inputs[first].gain > inputs[second].gain + 5.0
-    said = missed(fitted, first, inputs[first])
-    assert said.stage == stage and START - 1.5 < said.start < said.stop < STOP + 1.5
+    found = missed(fitted, first, inputs[first])
+    assert found.stage == stage and START - 1.5 < found.start < found.stop < STOP + 1.5
 
 
-def test_a_reading_that_follows_the_drive_or_bends_is_the_sensors_and_else_none_gains(tmp_path):
+def test_a_reading_that_follows_the_drive_or_is_nonlinear_is_of_the_sensor_stage(tmp_path):
     record = planted_record(tmp_path / "bag", bench=BENCH)
     tip, volts = record["deflection"], record[f"{BENCH['bench.channels'][0]}.voltage"]
     follows = 1e-4 * np.interp(tip.time, volts.time, volts.values)

@@ -1,4 +1,4 @@
-"""Equations of the effects written by plain means, and the rigs and drives that tests share.
+"""Plain reference implementations of the effects' equations, and rigs and drives of the tests.
 
 Independent of sma_bench.physics on purpose: the numbers come from the parameters alone, rates are
 integrated by scipy, histories (largest austenite, plastic stretch) are followed sample by sample.
@@ -46,7 +46,7 @@ def alloy(ranges, influences):
 
 
 def typical(parameters, name):
-    """One effect with its size, and secondary numbers that make it show soon."""
+    """One effect at its typical size, with secondary numbers that make it visible early."""
     own = {p.name: p.uncertainty for p in SWITCHES if p.name.split(".")[1] == name}
     return parameters.replace(own | SECONDARY)
 
@@ -57,7 +57,7 @@ def all_on(parameters):
 
 
 def pulses(step, duration=24.0):
-    """Time and four voltages: strong and weak pulses of either side, partial loops among them."""
+    """Time and four voltages: strong and weak pulses of either side, with partial loops."""
     time = np.arange(round(duration / step)) * step
     slot = (time // 0.5).astype(int)
     front = np.array([0, 5.6, 6.6, 3.0, 5.4, 0, 0, 6.0, 0, 0, 0, 0])[slot % 12]
@@ -97,7 +97,7 @@ def refined(time, voltage, parts):
 
 
 class Heat:
-    """Three nodes a wire below its transformation (xi = 1): wire, silicone around it, clamp."""
+    """Heat below the transformation (xi = 1), three nodes per wire: wire, silicone, clamp."""
 
     def __init__(self, parameters):
         p = self.p = parameters
@@ -162,7 +162,7 @@ def full_loop(rig, kelvin, sigma=0.0):
 
 
 def lagged_heating(elapsed, rise, tau, lag):
-    """What a first-order sensor reads of rise [1 - exp(-t/tau)]."""
+    """Reading of a first-order sensor when the temperature is rise [1 - exp(-t/tau)]."""
     return rise * (1 - (tau * np.exp(-elapsed / tau) - lag * np.exp(-elapsed / lag)) / (tau - lag))
 
 
@@ -171,8 +171,8 @@ def done(cycles, scale):
 
 
 def forces_of_passive_wires(felt, modulus, limit, hardening, buckled):
-    """Force and stretch along a path of what the wires feel, hardening, by radial return; wires
-    that are `buckled` do not push."""
+    """Force and plastic stretch along a path of stretches `felt`, with hardening, by radial return;
+    `buckled` wires do not push."""
     stretch, path = 0.0, []
     for reach in felt:
         if buckled and reach < stretch:
@@ -196,7 +196,7 @@ def fraction_since_reversal(rising, fraction_reversed, ramps_reversed, ramps):
 
 
 def left_of(phase, own, own_reversed, other, other_reversed):
-    """What is left of the phase that vanishes, given its own ramp and the other's."""
+    """Fraction left of the vanishing phase, given its own ramp and the other's."""
     left = 0.0
     if own_reversed > 0.0:
         left = phase * own / own_reversed
@@ -208,8 +208,8 @@ def left_of(phase, own, own_reversed, other, other_reversed):
 
 
 def rule_errors(run, f, g, steady):
-    """Largest distance of a sample's fraction from that rule, given ramps and steady temperatures
-    (n, w), reversals followed from outside; and how many of these there were."""
+    """Largest difference of a sample's fraction from that rule, given ramps and steady temperatures
+    (n, w), with reversals found from these; and the number of reversals."""
     trend, xi, largest, turned = np.sign(steady - run.temperature), run.martensite_fraction, 0.0, 0
     for i in range(xi.shape[1]):
         rising, since = True, (1.0, (f[0, i], g[0, i]))

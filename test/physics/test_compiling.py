@@ -1,4 +1,4 @@
-"""Machine code: made once after an installation, by one process, to the numbers of plain Python."""
+"""Machine code: compiled once after an installation, by one process."""
 
 import os
 import shutil
@@ -17,12 +17,12 @@ import numpy as np
 from sma_bench import compiled
 from sma_bench.estimation import noise_model as noise
 
-function, told = noise._add_powers, []
-compiled.when_compiling(lambda: told.append("waits"))
+function, waits = noise._add_powers, []
+compiled.when_compiling(lambda: waits.append(1))
 before = compiled.is_compiled(function)
 for count in (5.0, 6.0):
     function(np.arange(count), *(np.array([0.5]) for _ in range(4)), np.zeros(1))
-print(before, compiled.is_compiled(function), len(told), sum(function.stats.cache_misses.values()))
+print(before, compiled.is_compiled(function), len(waits), sum(function.stats.cache_misses.values()))
 """
 
 
@@ -38,16 +38,16 @@ def run(tmp_path):
                                     text=True, env=environment)  # fmt: skip
 
 
-def test_of_processes_that_need_a_function_one_compiles_and_each_that_waits_says_so_once(
+def test_one_of_two_processes_compiles_a_function_and_the_waiting_one_reports_it_once(
     run, tmp_path
 ):
     running = [run() for _ in range(2)]
-    said = [process.communicate()[0].split() for process in running]
-    assert sorted(misses for *_, misses in said) == ["0", "1"]
-    for before, after, told, _ in said:
-        assert after == "True" and told == ("0" if before == "True" else "1")
+    printed = [process.communicate()[0].split() for process in running]
+    assert sorted(misses for *_, misses in printed) == ["0", "1"]
+    for before, after, waits, _ in printed:
+        assert after == "True" and waits == ("0" if before == "True" else "1")
     assert run().communicate()[0].split() == ["True", "True", "0", "0"]
-    # Numba notices a change of a function's own file; of a neighbour's, the room's digest does.
+    # Numba detects a change of a function's own file; the package's digest, one of a neighbour's.
     with (tmp_path / "sma_bench" / "estimation" / "solver.py").open("a") as source:
         source.write("# changed\n")
     assert run().communicate()[0].split() == ["False", "True", "1", "1"]

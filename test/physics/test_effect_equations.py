@@ -1,4 +1,4 @@
-"""Every effect's equation, against references written by plain means (effect_references.py)."""
+"""Every effect's equation, against independent references (effect_references.py)."""
 
 import effect_references as by_hand
 import numpy as np
@@ -39,7 +39,7 @@ STEEPER = 1 / (1 / 7.3e6 + 5e-8), 1 / (1 / 8.0e6 - 3e-8)
      1),
     ("side_asymmetry: ratio=0.25", (f"{BETA}front", f"{BETA}back"), (6.25e9, 3.0e9), 1),
 ])  # fmt: skip
-def test_an_effect_is_what_other_parameters_or_volts_would_do(numbers, names, values, share):
+def test_an_effect_equals_a_change_of_parameters_or_voltage(numbers, names, values, share):
     time, voltage = pulses(0.05)
     run = simulate(effect(COMPOSITE, numbers), time, voltage)
     others = COMPOSITE.replace(dict(zip(names, values, strict=True)))
@@ -51,7 +51,7 @@ def test_an_effect_is_what_other_parameters_or_volts_would_do(numbers, names, va
 
 @pytest.mark.parametrize("law", ["cosine", "logistic", "normal"])
 @pytest.mark.parametrize("bend", [0.8, -0.5])
-def test_a_bent_line_is_under_one_load_that_of_another_influence(law, bend):
+def test_a_bent_shift_equals_another_stress_influence_at_constant_stress(law, bend):
     sigma, knee = 90e6, 50e6
     influences = dict(zip(by_hand.INFLUENCES, (7.3e6, 8e6), strict=True))
     rig = WIRE.replace({"wire.law": law, **influences})
@@ -86,7 +86,7 @@ def test_current_and_heat_follow_the_resistance_of_phase_and_temperature():
     assert np.abs(np.cumsum(given - taken, axis=0)).max() < 1e-3 * np.abs(np.cumsum(taken)).max()
 
 
-def test_a_supply_gives_way_beyond_its_current_and_heats_with_what_is_left():
+def test_an_overloaded_supply_heats_with_its_reduced_voltage():
     time, voltage = pulses(0.05)
     rig = effect(COMPOSITE, "supply_drop: overload=0.5 knee=1.4")
     left = np.minimum(voltage, 2.6987 * (voltage + 0.5 * 1.4) / (2.6987 + 0.5))
@@ -96,7 +96,7 @@ def test_a_supply_gives_way_beyond_its_current_and_heats_with_what_is_left():
     assert run.current == pytest.approx(plain.current, rel=1e-12)
 
 
-def test_a_battery_gives_way_with_its_time_constant_and_comes_back():
+def test_a_battery_sags_and_recovers_with_its_time_constant():
     time, volts, share, tau = np.arange(0.0, 60.0, 0.01), 5.0, 0.4 / 2.6987, 8.0
     voltage = np.outer(np.where(time < 30.0, volts, 0.0), np.ones(4))
     rig = effect(COMPOSITE, f"supply_drop: battery=0.4 battery_time={tau}")
@@ -120,7 +120,7 @@ def test_wire_and_silicone_are_exact_at_any_step():
 
 
 @pytest.mark.parametrize(("sides", "matrix"), [("ffbb", 0.0), ("fffb", 0.2)])
-def test_all_that_changes_the_heat_at_once_converges_to_the_equations(sides, matrix):
+def test_all_effects_on_the_heat_together_converge_to_the_equations(sides, matrix):
     whole = {"f": "front", "b": "back"}
     rig = effect(
         COMPOSITE.replace({"bench.channel_sides": tuple(whole[s] for s in sides)}),
@@ -163,8 +163,8 @@ def test_no_latent_heat_is_lost_between_wire_and_silicone():
 
 
 def driven(rig, *peaks, sigma=0.0):
-    """A wire at held stress (Pa) under slow volts through these values, 4 s from one to the next;
-    and the samples at which its temperature turns."""
+    """A wire at constant stress [Pa] with a slow voltage through `peaks`, 4 s from one to the next;
+    and the samples at which its temperature reverses."""
     time = np.arange(0.0, 4.0 * (len(peaks) - 1), 0.005)
     voltage = np.interp(time, 4.0 * np.arange(len(peaks)), peaks)[:, np.newaxis]
     run = simulate(rig, time, voltage, boundary=Boundary.held_stress(sigma))
@@ -207,7 +207,7 @@ def test_incomplete_loops_lie_between_the_contracts_rule_and_the_full_loop(memor
 
 
 def nested(rig, kelvin, memory):
-    """xi along temperatures at no stress: straight lines over the ramp to where loops opened."""
+    """xi along temperatures at zero stress: straight lines over the ramp to the loops' start."""
     f, g = by_hand.full_loop(rig, kelvin)
     xi, rising, opened = [1.0], True, [(1.0, f[0], g[0])]
     start = (1.0, f[0])
@@ -277,13 +277,13 @@ def stretched(run, strain):
 
 
 @pytest.mark.parametrize(("share", "recovery"), [(0.15, 0.0), (-0.1, 0.0), (0.15, 0.3)])
-def test_residual_strain_is_exact_in_every_sample_and_none_of_the_first_heating(share, recovery):
+def test_residual_strain_is_exact_and_absent_in_the_first_heating(share, recovery):
     numbers = f"residual_strain: share={share} recovery={recovery}"
     run, pulled, stiffness = pulled_by(numbers)
     austenite = 1.0 - run.martensite_fraction
     kept, most = np.zeros(austenite.shape[1]), np.zeros_like(austenite)
     for k, now in enumerate(austenite):
-        most[k] = np.maximum(kept, now)  # in this step what has crept back before it counts
+        most[k] = np.maximum(kept, now)  # m decreases after the step
         kept = now + (most[k] - now) * np.exp(-recovery * 0.05)
     strain = EPS_L * ((1 - share) * austenite + share * most)
     assert np.any((most < 0.9) & (most > 0.1))
@@ -310,7 +310,7 @@ def test_the_matrix_of_a_driven_side_follows_the_standard_linear_solid():
 
 
 @pytest.mark.parametrize("engagement", [0.3, 1.0])
-def test_both_sides_balance_with_what_reaches_the_other(engagement):
+def test_both_sides_balance_if_a_share_of_the_bending_reaches_the_other(engagement):
     numbers = f"opposing_wires: engagement={engagement} detwinning_stress=1e9"
     run, pulled, stiffness = pulled_by(numbers, share=FRONT_ONLY)
     front = pulled[:, 0] / stiffness[0]
@@ -345,7 +345,7 @@ def test_passive_wires_yield_and_stay_stretched_and_buckled_ones_never_push(gap,
     assert min(map(np.sum, seen)) > 5
 
 
-def test_wires_that_rub_hold_their_side_back_by_as_much_against_each_motion():
+def test_channel_friction_opposes_every_motion_of_its_side():
     run, pulled, stiffness = pulled_by("opposing_wires: channel_friction=4e6")
     excess, motion = (pulled - stiffness * run.contraction)[1:], np.diff(run.contraction, axis=0)
     moves = np.abs(motion) > 1e-9
@@ -355,7 +355,7 @@ def test_wires_that_rub_hold_their_side_back_by_as_much_against_each_motion():
 
 
 @pytest.mark.parametrize("length", [0.2, -0.3])
-def test_wires_nearer_to_the_middle_bend_more_and_meet_more_stiffness(length):
+def test_wires_nearer_to_the_middle_bend_more_against_more_stiffness(length):
     run, pulled, _ = pulled_by(f"side_asymmetry: lever={length}")
     longer = 1.0 + length * np.array([1.0, -1.0])
     assert np.abs(pulled - np.array([5e9, 4e9]) * longer**2 * run.bending).max() < 10.0
@@ -380,7 +380,7 @@ def test_slack_is_a_dead_zone_of_exactly_its_strain(step):
 
 @pytest.mark.parametrize("step", [0.005, 0.1])
 @pytest.mark.parametrize("hard", [0.0, 2e-3])
-def test_slack_is_taken_up_little_by_little(step, hard):
+def test_soft_slack_is_taken_up_gradually(step, hard):
     run, pulled, stiffness = pulled_by(f"slack: soft_strain=3e-3 strain={hard}", step)
     beyond, b = run.contraction - hard, run.bending
     assert pulled == pytest.approx(stiffness * b, abs=50.0)
@@ -403,15 +403,15 @@ def test_wires_that_rub_in_their_sleeves_slide_at_the_friction_and_stick_below_i
     assert np.abs(pulled[inside]).max() < friction + 10.0
     slides = inside & (np.abs(slid) > 1e-9)
     assert pulled[slides] == pytest.approx(friction * np.sign(slid[slides]), abs=10.0)
-    # It goes to either end, beyond the friction only there.
+    # The play reaches both ends, and only there the friction is exceeded.
     assert np.all(pulled[play <= 1e-9] < friction + 10.0)
     assert np.all(pulled[play >= slack - 1e-9] > -friction - 10.0)
     assert min(np.sum(pulled > 2.0 * friction), np.sum(inside & ~slides), np.sum(slid < -1e-9)) > 2
 
 
 @pytest.mark.parametrize(("walking", "opposite"), [(0.0, 0.0), (0.1, 0.2)])
-def test_a_spot_beyond_the_wire_mixes_radiances_from_the_first_sample(walking, opposite):
-    """It walks off a wire that bends, and sees those opposite."""
+def test_a_spot_larger_than_the_wire_mixes_radiances_from_the_first_sample(walking, opposite):
+    """The wire leaves the spot as the beam bends, and the spot sees wires of the other side."""
     drift, (time, voltage) = "ambient_drift: rate=0.02", pulses(0.05)
     numbers = f"missing=0.1 walking={walking} opposite={opposite}"
     rig = effect(COMPOSITE, f"temperature_underfill: {numbers}, {drift}")
@@ -437,7 +437,7 @@ def test_a_reading_has_a_slow_share_and_is_late_by_half_an_exposure():
     )  # fmt: skip
     expected = 0.6 * fast.temperature_reading + 0.4 * slow.temperature_reading
     assert mixed.temperature_reading == pytest.approx(expected, rel=1e-12)
-    # An average over a time: as late, and its step response as wide, in the mean.
+    # Same mean delay and width of the step response as an average over the exposure.
     behind = (exposed.temperature - exposed.temperature_reading)[:, 0]
     rise = exposed.temperature[-1, 0] - AMBIENT
     tau = by_hand.Heat(COMPOSITE).capacity / by_hand.Heat(COMPOSITE).loss
@@ -460,7 +460,7 @@ def test_a_lagging_sensor_follows_the_exact_response():
     assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.3)
 
 
-def test_the_zero_of_the_deflection_drifts_by_itself():
+def test_only_the_reading_of_the_deflection_drifts():
     numbers = "rate=1e-5 bend=-2e-7 warm_up=3e-4 warm_up_time=5 by_heat=2e-6 mount_time=4"
     rig = effect(COMPOSITE, f"deflection_drift: {numbers}")
     time, voltage = pulses(0.05)

@@ -1,4 +1,4 @@
-"""What all effects have in common: none when off, little when small, finite, alike in any step."""
+"""Common to all effects: none when off, small when small, finite, convergent in the step."""
 
 import itertools
 import shutil
@@ -30,7 +30,7 @@ SOME = [*((name,) for name in EFFECTS), *(ALL_PAIRS[i] for i in CHOSEN)]
 
 
 def distance(one, other):
-    """Largest difference of what sensors read, each in its own scale."""
+    """Largest difference of readings, each in its own scale."""
     off = {name: np.abs(getattr(other, name) - getattr(one, name)).max() for name in SCALES}
     return max(off[name] / scale for name, scale in SCALES.items())
 
@@ -38,7 +38,7 @@ def distance(one, other):
 @pytest.mark.parametrize("switch", by_hand.SWITCHES, ids=lambda p: p.name)
 def test_a_small_effect_differs_little_from_none(switch):
     time, voltage = pulses(0.05)
-    if switch.name.endswith("return_point"):  # loops within loops, which the pulses have none of
+    if switch.name.endswith("return_point"):  # needs nested loops, which the pulses lack
         turns = np.sin(0.5 * np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 1.3)
         voltage = np.outer(4.4 + 0.4 * turns, [1.0, 1.0, 0.0, 0.0])
     rig = COMPOSITE.replace(by_hand.SECONDARY)
@@ -46,7 +46,7 @@ def test_a_small_effect_differs_little_from_none(switch):
     assert active_effects(rig) == ()  # secondary numbers alone switch nothing on
     paper = simulate(COMPOSITE, time, voltage)
     assert all(np.array_equal(getattr(baseline, n), getattr(paper, n)) for n in SIGNALS)
-    if switch.name.endswith("recovery"):  # of a strain that stays
+    if switch.name.endswith("recovery"):  # acts only on residual strain
         rig = by_hand.typical(COMPOSITE, "residual_strain").replace({switch.name: 0.0})
         baseline = simulate(rig, time, voltage)
     large, small, tiny = (
@@ -59,7 +59,7 @@ def test_a_small_effect_differs_little_from_none(switch):
 
 
 @pytest.mark.parametrize("names", SOME, ids="+".join)
-def test_a_quarter_of_the_step_is_less_than_half_the_error(names):
+def test_a_quarter_of_the_step_more_than_halves_the_error(names):
     rig = COMPOSITE
     for name in names:
         rig = by_hand.typical(rig, name)
@@ -75,7 +75,7 @@ def test_a_quarter_of_the_step_is_less_than_half_the_error(names):
     assert error(finer, 8) < 0.45 * error(run, 32) + 1e-4
 
 
-def test_halves_and_a_live_bench_with_every_effect_are_one_run_to_the_last_bit():
+def test_split_and_live_runs_with_all_effects_equal_one_run_to_the_last_bit():
     rig = all_on(COMPOSITE)
     time, voltage = pulses(0.0625)  # exact in binary, so that differences of time are the step
     run = simulate(rig, time, voltage)
@@ -139,7 +139,7 @@ np.save(sys.argv[1], np.hstack([run.temperature, run.martensite_fraction, run.st
 """
 
 
-def test_without_numba_every_effect_gives_the_same_and_that_is_said_once(tmp_path, pytestconfig):
+def test_without_numba_all_effects_give_the_same_and_one_warning(tmp_path, pytestconfig):
     file, here = tmp_path / "plain.npy", pytestconfig.rootpath / "test" / "physics"
     plain = subprocess.run([sys.executable, "-c", WITHOUT_NUMBA, str(file), str(here)], check=True,
                            cwd=pytestconfig.rootpath, timeout=300, capture_output=True,
@@ -154,7 +154,7 @@ def test_without_numba_every_effect_gives_the_same_and_that_is_said_once(tmp_pat
     assert np.load(file) == pytest.approx(compiled, rel=1e-9, abs=1e-9)
 
 
-def test_the_committed_page_of_effects_is_the_one_they_generate(pytestconfig):
+def test_the_committed_page_of_effects_is_up_to_date(pytestconfig):
     page = effects_page()
     committed = (pytestconfig.rootpath / "docs" / "effects.md").read_text()
     assert committed == page, "run: ./bench effects --markdown > docs/effects.md"
@@ -224,16 +224,16 @@ def test_a_new_effect_is_one_file_and_one_entry(tmp_path, pytestconfig):
 LACKS = "effect made_up: expected an entry in effects.yaml and a docstring in .*.py"
 
 
-@pytest.mark.parametrize(("file", "entry", "said"), [
+@pytest.mark.parametrize(("file", "entry", "message"), [
     (MADE_UP, "{}", LACKS), ("", ENTRY, LACKS), ("pass", ENTRY, LACKS),
     (MADE_UP, ENTRY.replace("stage: mechanical", ""), "made_up: missing or unknown: .* 'stage'"),
     (MADE_UP, ENTRY.replace("mechanical", "electric"), "made_up: missing or unknown: 'electric'"),
     (MADE_UP, ENTRY.replace("shows", "display"), "made_up: missing or unknown: .* 'display'"),
     (MADE_UP, ENTRY.replace("source", "form"), "made_up: missing or unknown: 'source'"),
 ])  # fmt: skip
-def test_an_effect_whose_declaration_is_broken_is_named(tmp_path, file, entry, said):
+def test_a_broken_declaration_is_refused_with_the_effects_name(tmp_path, file, entry, message):
     if file:
         (tmp_path / "made_up.py").write_text(file)
-    with pytest.raises(ValueError, match=said) as error:
+    with pytest.raises(ValueError, match=message) as error:
         declared_effects(yaml.safe_load(entry), tmp_path)
     assert "\n" not in str(error.value)

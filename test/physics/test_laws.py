@@ -1,4 +1,4 @@
-"""Laws of the phase and free convection, against references written by plain means."""
+"""Laws of the phase and free convection, against independent references."""
 
 import effect_references as by_hand
 import numpy as np
@@ -32,8 +32,8 @@ def of_law(parameters, law):
 
 
 def led(rig, turns, sigma=0.0, step=0.05):
-    """Temperatures [K] from rest through these in even steps, and xi of a wire at held stress that
-    has next to no heat capacity."""
+    """Temperatures [K] in even steps from rest through `turns`, and xi of a wire at constant stress
+    that has almost no heat capacity."""
     legs = [np.linspace(a, b, int(abs(b - a) / step) + 1)[1:]
             for a, b in zip((AMBIENT, *turns), turns, strict=False)]  # fmt: skip
     kelvin = np.concatenate([[AMBIENT], *legs])
@@ -45,7 +45,7 @@ def led(rig, turns, sigma=0.0, step=0.05):
     return kelvin, run.martensite_fraction[:, 0]
 
 
-def test_cold_ends_are_late_and_close_their_loops():
+def test_cold_ends_transform_later_and_close_their_loops():
     wire = of_law(STOCK, "normal").replace({"wire.length": 0.2})
     kelvin, middle = led(wire, (420.0, 330.0, 420.0))
     _, xi = led(wire.replace({"wire.end_length": 0.004}), (420.0, 330.0, 420.0))
@@ -91,7 +91,7 @@ def test_every_law_has_the_same_four_temperatures_shifted_by_stress(law, sigma):
 
 
 def left(law, x):
-    """What is left x of a range behind its start."""
+    """Fraction left at the share x of a range."""
     if law == "exponential":
         return np.minimum(np.exp(-np.log(40.0) * x), 1.0)
     return 1.0 / (1.0 + np.exp(np.log(39.0) * (2.0 * x - 1.0)))
@@ -111,8 +111,8 @@ def test_partial_loops_of_a_composite_follow_the_rule_and_the_stress_at_every_sa
     assert off < 1e-8 and turned > 10 and np.ptp(xi) > 0.9
 
 
-def test_grains_of_two_other_laws_are_at_most_all_of_them():
-    """Beyond that the branches would fall and rise again, and no step would be solved."""
+def test_shares_of_two_other_laws_are_limited_to_a_sum_of_one():
+    """With a larger sum the branches would not be monotone, and steps could not be solved."""
     def branch(soft, sharp):
         own = {f"effect.transformation_law.{n}": x
                for n, x in (("logistic", soft), ("exponential", sharp))}  # fmt: skip
@@ -141,8 +141,8 @@ def grains(count, seed):
 
 
 def five_groups(count, skew=0.0):
-    """Thresholds [K] of grains in the five groups of laws/normal.py; skewed centres are those of
-    two halves of a normal distribution about one peak."""
+    """Thresholds [K] of grains in the five groups of laws/normal.py; skewed centres follow two
+    half normal distributions about one peak."""
     heated, cooled = [], []
     rest = np.sqrt((UP**2 + DOWN**2) / 2 - SPREAD**2 - TOGETHER**2 / SPREAD**2)
     z = 1.1 * np.arange(-2, 3)
@@ -171,11 +171,11 @@ LOOPS = (358.0, 320.0, 352.0, 330.0, 348.0, 334.0, 353.0, 318.0, 364.0, 326.0, 4
 
 
 @pytest.mark.parametrize("skew", [0.0, -0.4, 0.5])
-def test_plays_of_the_normal_law_are_grains_that_switch_one_by_one(skew):
+def test_the_normal_law_equals_many_grains_that_switch_one_by_one(skew):
     rig = of_law(STOCK, "normal").replace({"wire.transition_skew": skew})
     kelvin, xi = led(rig, LOOPS, step=0.2)
     heated, cooled = five_groups(20_000, skew)
-    if skew:  # moved so that the points of 2.5 and 97.5 % stay, which they do to half a kelvin
+    if skew:  # shifted to keep the 2.5 and 97.5 % points within half a kelvin
         off = [np.quantile(heated, [0.025, 0.975]) - (345.0, 363.0),
                np.quantile(cooled, [0.025, 0.975]) - (312.0, 338.0)]  # fmt: skip
         heated, cooled = heated - np.mean(off), cooled - np.mean(off)
@@ -196,25 +196,25 @@ def oriented(law, sigma):
 
 @pytest.mark.parametrize("law", ["brinson", "extended"])
 @pytest.mark.parametrize("sigma", [40e6, 130e6, 250e6])
-def test_the_load_decides_what_strain_martensite_has(law, sigma):
+def test_the_strain_of_martensite_depends_on_the_load(law, sigma):
     rig, strain = of_law(STOCK, law), STOCK["wire.maximum_recoverable_strain"]
     time, newton = np.arange(0.0, 40.0, 0.05), sigma * np.pi * 0.25 * STOCK["wire.diameter"] ** 2
     volts = np.where(time % 20.0 < 8.0, 6.8, 0.0)
     run = simulate(rig, time, volts, boundary=Boundary.held_stress(sigma))
     assert run.martensite_fraction.min() == 0.0 and run.martensite_fraction[-1, 0] == 1.0
-    # It was stretched before it was mounted, and keeps what this stress does not give back.
+    # It was stretched before it was mounted; the stress restores only a part of that strain.
     kept = run.contraction[-1, 0] - run.contraction[0, 0]
     assert kept == pytest.approx(strain * (1.0 - oriented(law, sigma)), abs=1e-6)
-    # A wire that bears it at rest was oriented by it: every stroke is alike, and smaller.
+    # A wire that bears the stress at rest is oriented by it: strokes are equal, and smaller.
     borne = simulate(rig.replace({"load.kind": "force", "load.force": newton}), time, volts)
     assert np.ptp(borne.contraction[[0, 380, -1]]) < 1e-6
     assert np.ptp(borne.contraction) == pytest.approx(np.ptp(run.contraction) - kept, abs=1e-6)
 
 
-def test_stress_detwins_cold_martensite_and_what_is_detwinned_stays_so():
+def test_stress_detwins_cold_martensite_and_it_stays_detwinned():
     rig = of_law(STOCK, "brinson").replace({"load.kind": "displacement", "wire.length": 0.2})
     strain, time = STOCK["wire.maximum_recoverable_strain"], np.arange(0.0, 60.0, 0.02)
-    # Heated and cooled free of stress, then stretched, let go by a twentieth and stretched again.
+    # Heated and cooled without stress, stretched, released by a twentieth and stretched again.
     way = np.interp(time, [0, 5, 20, 40, 44, 48, 58], [0, -1, -1, 0, -0.05, 0, 0.05])
     run = simulate(rig, time, np.where(time < 10.0, 6.8, 0.0), elongation=0.2 * strain * way)
     cold, sigma = time > 20.0, run.stress[:, 0]
@@ -248,11 +248,11 @@ def test_grains_of_a_clamped_wire_switch_at_its_own_stress():
     assert xi == pytest.approx(expected, abs=2e-3)
 
 
-def test_a_state_without_history_holds_its_fraction_under_every_law():
+def test_a_state_without_history_keeps_its_fraction_under_every_law():
     time, free = np.arange(0.0, 10.0, 0.05), Boundary.held_stress(0.0)
     used = simulate(STOCK, time, 4.9 * np.sin(np.pi * time / 10.0), boundary=free).final
     for law in LAWS:
-        rig, states = of_law(STOCK, law), [(used, 0.02)]  # that goes on under another law
+        rig, states = of_law(STOCK, law), [(used, 0.02)]  # continued from a run under another law
         for kelvin, xi in ((340.0, 0.5), (345.0, 0.8), (330.0, 0.99), (297.0, 1.0)):
             warm = initial_state(rig, temperature=kelvin, martensite_fraction=xi, boundary=free)
             states.append((warm, 1e-6))
@@ -285,7 +285,7 @@ def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
         assert run.martensite_fraction.min() >= 0.0 and run.martensite_fraction.max() <= 1.0
         moved = [np.abs(getattr(run, n) - getattr(alone, n)).max() for n in names]
         assert max(np.array(moved) / (1.0, 1e-2, 1e6, 1e-4, 1e-4, 0.01, 1.0)) > 0.5, effect.name
-        # Halves of a run are the run, to the last bit.
+        # A split run equals the whole one to the last bit.
         second = simulate(rig, time[69:], voltage[69:],
                           initial=simulate(rig, time[:70], voltage[:70]).final)
         assert all(np.array_equal(getattr(second, n), getattr(run, n)[69:]) for n in SIGNALS)
@@ -296,7 +296,7 @@ def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_bench_of_any_law_is_led_to_a_deflection(law):
+def test_the_controller_reaches_a_deflection_under_every_law(law):
     rig = of_law(Parameters.of_paper().replace({
         "load.kind": "force", "load.force": 3.0, **GRADE, "wire.hysteresis_spread": 0.25,
         "wire.detwinning_start_stress": 5e6,
@@ -309,8 +309,8 @@ def test_a_bench_of_any_law_is_led_to_a_deflection(law):
 
 
 def churchill_chu(diameter, excess, ambient):
-    """h [W/(m2 K)] of a thin horizontal cylinder in air, properties of air by tables at 300 and
-    350 K (Incropera and DeWitt), between them straight."""
+    """h [W/(m2 K)] of a thin horizontal cylinder in air, with properties of air from tables
+    at 300 and 350 K (Incropera and DeWitt), linear in between."""
     film = ambient + 0.5 * excess
 
     def at(low, high):
@@ -328,14 +328,14 @@ def grey(surface, ambient):
 
 
 @pytest.mark.parametrize("diameter", [0.1e-3, 0.5e-3])
-def test_free_convection_is_that_of_the_wire_s_size_and_grows_with_temperature(diameter):
+def test_free_convection_depends_on_diameter_and_temperature(diameter):
     numbers = {"wire.convection": "free", "wire.diameter": diameter, **GRADE}
     rig = Parameters(numbers)
     named = rig["wire.heat_transfer_coefficient"]
     expected = churchill_chu(diameter, 60.0, AMBIENT) + grey(AMBIENT + 60.0, AMBIENT)
     assert named == pytest.approx(expected, rel=0.02)
     stated = Parameters({**numbers, "wire.heat_transfer_coefficient": 1.4 * named})
-    # Steady at every power: what goes in is lost by h(T), which is the named one at 60 K.
+    # Steady state at every power: the loss is by h(T), which is the stated h at 60 K.
     time, area = np.arange(0.0, 60.0, 0.05), rig["wire.surface_area"]
     for bench, scale in ((rig, 1.0), (stated, 1.4)):
         for excess in (20.0, 60.0, 130.0):

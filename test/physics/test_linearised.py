@@ -19,12 +19,13 @@ BRANCHES = ("heating", "cooling")
 
 
 def assert_tangent(point, weights, time, tolerance=2e-6, latent_heat=0.0):
-    """The step response (n, 1 + 2 w), to the largest nonlinear one of each kind of output."""
+    """Compare the linear step response (n, 1 + 2 w), which is returned, with the nonlinear one.
+    `tolerance`: relative to the largest value of each kind of output."""
     direction = weights if point.branch == "heating" else -weights
     rig = point.parameters.replace({"effect.latent_heat.heat": latent_heat})
 
     def change(step):
-        """(n, 1 + 2 w) of the outputs of the nonlinear model, a volt."""
+        """(n, 1 + 2 w) change of the nonlinear model's outputs per volt."""
         voltage = np.tile(point.voltage + step * direction, (time.size, 1))
         run = simulate(rig, time, voltage, initial=point, boundary=point.boundary)
         outputs = np.column_stack([run.deflection, run.temperature, run.stress])
@@ -48,7 +49,7 @@ def few_time_constants(parameters):
 @pytest.mark.parametrize("branch", BRANCHES)
 @pytest.mark.parametrize(("rig", "held"), [(WIRE, 0.0), (WIRE, 50e6), (UNLIKE, 0.0)])
 def test_step_response_is_the_derivative_of_the_nonlinear_model(rig, held, branch):
-    """Within partial loops, wires unlike."""
+    """Within partial loops, with different wires."""
     time, wires = np.arange(0.0, 60.0, 0.05), len(rig["bench.channels"])
     voltage = 4.6 + 0.8 * np.sin(np.outer(time, 2.0 + 0.05 * np.arange(wires)))
     boundary = Boundary.held_stress(held) if held else Boundary.of(rig)
@@ -76,7 +77,7 @@ LOADS = {"force, duty": {"load.kind": "force", "load.force": 9.0, **DUTY},
 
 @pytest.mark.parametrize("branch", BRANCHES)
 @pytest.mark.parametrize("load", LOADS)
-def test_any_load_and_drive_at_rest_where_it_is_linearised(load, branch):
+def test_operating_points_are_steady_for_any_load_and_drive(load, branch):
     rig = WIRE.replace(LOADS[load])
     sign = 1.0 if "antagonist" in load or "front" in load else -1.0
     side = "back" if "back" in load else "front"
@@ -111,7 +112,7 @@ def test_printed_and_corrected_coefficients_at_half_of_the_maximum_deflection():
     assert ratio["b_1"] == pytest.approx((353.61 - 331.81) / np.pi)
     assert ratio["b_3"] == pytest.approx((353.39 - 325.09) / np.pi)
     assert ratio["b_1 of stress"] == pytest.approx(7.0e6 * (353.61 - 331.81) / np.pi)
-    # Twice the integral of eq. (16), of wires that are a sheet as wide as the beam.
+    # Twice the integral of eq. (16), for wires as a sheet as wide as the beam.
     assert ratio["alpha"] == pytest.approx(2.0 * 1.05574 / 1.71405, rel=1e-5)
     both = 2.0 * (22.8e9 - 55.4e9) * 0.044 * (1.0 - 2.0 * point.martensite_fraction[0])
     assert table["a_2"].printed + table["a_2"].corrected == pytest.approx(both)

@@ -1,4 +1,4 @@
-"""What wires pull against, and how they are driven: closed forms, a stiff solver, the energy."""
+"""Loads, drives, imposed motion and friction, against closed forms and the energy."""
 
 import re
 
@@ -54,10 +54,10 @@ def test_a_weight_is_held_and_the_wire_follows_the_closed_form():
     sigma = 12.0 / SECTION
     strain = (sigma - rig["wire.thermal_expansion_factor"] * rise) / modulus
     strain -= rig["wire.maximum_recoverable_strain"] * (1.0 - xi)
-    strain -= sigma / 22.8e9  # the bench at rest is where it counts from
+    strain -= sigma / 22.8e9  # elongation counts from the bench at rest
     assert found.elongation[:, 0] == pytest.approx(LENGTH * strain, abs=1e-12)
     assert xi.min() < 1e-6 and np.ptp(found.elongation) > 7e-3
-    # Three wires in parallel share the load and draw their current each; twice as long, twice.
+    # Three parallel wires share the load and each draw their current; elongation goes with length.
     three = run(rig, **{"wire.count": 3, "load.force": 36.0})
     assert three.elongation == pytest.approx(found.elongation, abs=1e-12)
     assert three.force == pytest.approx(3.0 * found.force)
@@ -75,7 +75,7 @@ WEIGHT, SOFT = loaded("force", force=9.0), loaded("spring", stiffness=1e-4, prel
 ON_SPRING = loaded("spring", stiffness=1500.0)
 SLIDER = loaded("antagonist", rig=STILL.replace(PAIR), stiffness=400.0, preload=6.0)
 AGAINST_COLD = loaded("spring", rig=STILL, stiffness=400.0 + COLD, preload=6.0)
-SAME = {  # two loads on which each effect does the same: rigs, sign of the motion, accuracy
+SAME = {  # equivalent loads: rigs, sign of the motion, accuracy
     ("spring", "beam"): (ON_SPRING, loaded("beam", rig=WIRE.replace(BEAM)), -1.0, 1e-6),
     ("force", "spring"): (WEIGHT, SOFT, 1.0, 1e-6),
     ("clamped", "displacement"): (WIRE, WIRE.replace({"load.kind": "displacement"}), None, 1e-12),
@@ -89,8 +89,8 @@ SAME = {  # two loads on which each effect does the same: rigs, sign of the moti
     [(k, e.name) for k in SAME for e in EFFECTS.values() if set(k) <= set(e.loads)],
     ids=str,
 )
-def test_an_effect_on_one_load_is_the_one_on_another_that_does_the_same(loads, effect):
-    """The beam's are held to equations of their own in test_effect_equations.py."""
+def test_an_effect_acts_alike_on_two_equivalent_loads(loads, effect):
+    """Those of the beam are compared with their equations in test_effect_equations.py."""
     one, other, sign, accuracy = SAME[loads]
     drift = {} if loads == ("force", "spring") else NO_DRIFT
     here, there = (run(typical(rig, effect), **drift) for rig in (one, other))
@@ -104,8 +104,8 @@ def test_an_effect_on_one_load_is_the_one_on_another_that_does_the_same(loads, e
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_the_work_done_on_a_load_is_what_it_stores_and_a_live_bench_goes_there(name):
-    """Of the sum of F dx over the wires, a weight and springs keep all: no force is lost."""
+def test_the_work_on_a_load_is_stored_in_it_and_a_live_bench_agrees(name):
+    """A weight and springs store all of the integral of F dx over the wires."""
     rig, found = RIGS[name], run(RIGS[name])
     x = found.deflection if name == "antagonist" else -found.elongation[:, 0]
     pull = found.force[:, 0] - (found.force[:, 1] if name == "antagonist" else 0.0)
@@ -120,7 +120,7 @@ def test_the_work_done_on_a_load_is_what_it_stores_and_a_live_bench_goes_there(n
     assert live.force == pytest.approx(found.force[2000], rel=1e-9)
 
 
-SLOW = {"effect.ambient_drift.rate": 1e-12}  # takes the longer way of a step
+SLOW = {"effect.ambient_drift.rate": 1e-12}  # takes the longer path of a step
 RISES = {"effect.phase_dependent_resistance.temperature_coefficient": 1e-3}
 DUTY = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
 LEADS = {"bench.lead_resistance": 0.5}
@@ -131,7 +131,7 @@ LEADS = {"bench.lead_resistance": 0.5}
     (DUTY, 3.0, {}), (DUTY, 3.0, SLOW), (LEADS, 6.0, {}), (LEADS, 6.0, SLOW), ({}, 4.0, RISES),
     ({"bench.drive": "current"}, 4.0, RISES), ({"bench.drive": "power"}, 4.0, RISES),
 ])  # fmt: skip
-def test_a_drive_heats_by_what_it_holds_and_a_record_reads_that_heat(drive, held, effects, count):
+def test_every_drive_heats_as_defined_and_its_record_has_that_heat(drive, held, effects, count):
     """A duty of 1/4 at 12 V heats as 6 V do, and its mean is 3 V."""
     rig = WIRE.replace({**drive, **effects, "wire.count": count})
     found = simulate(rig, TIME, np.full(TIME.size, held))
@@ -141,15 +141,15 @@ def test_a_drive_heats_by_what_it_holds_and_a_record_reads_that_heat(drive, held
     amperes = through.get(rig["bench.drive"], held / (hot + rig["bench.lead_resistance"] * count))
     loss = WIRE["wire.heat_transfer_coefficient"] * WIRE["wire.surface_area"]
     assert rise == pytest.approx(amperes**2 * hot / loss, rel=1e-4) and rise > 30.0
-    share = 0.5 if drive is DUTY else 1.0  # of the time at which it flows, of its mean
+    share = 0.5 if drive is DUTY else 1.0  # mean current over the direct one of the same heat
     assert found.current[-1, 0] == pytest.approx(count * amperes * share, rel=1e-4)
-    if rig["bench.drive"] != "current":  # of which a record has the command
+    if rig["bench.drive"] != "current":  # whose record has the command instead
         volts, flowing = direct_reading(rig, found.voltage, found.current)
         given = volts[-1] * flowing[-1] - flowing[-1] ** 2 * rig["bench.lead_resistance"]
         assert given == pytest.approx(count * amperes**2 * hot, rel=1e-4)
 
 
-# --- A motion that is imposed, and what rubs.
+# --- Imposed motion, nonlinear springs and friction.
 
 MACHINE = WIRE.replace({"load.kind": "displacement"})
 
@@ -177,7 +177,7 @@ def test_an_imposed_motion_of_a_warming_wire_follows_the_closed_form():
         assert found.martensite_fraction[k, 0] == pytest.approx(pulls(kelvin, moved[k], sigma)[1])
 
 
-def test_at_a_held_temperature_a_pulled_wire_goes_by_one_branch_and_comes_back_by_the_other():
+def test_superelastic_loading_and_unloading_follow_the_two_branches():
     """Superelasticity: martensite by g(T, sigma) while it is pulled, austenite by f on the way
     back, where the temperature changes by rounding only."""
     moved = LENGTH * np.interp(TIME, [0.0, 10.0, 40.0, 70.0], [0.0, -0.045, 0.02, -0.045])
@@ -204,7 +204,7 @@ def test_at_a_held_temperature_a_pulled_wire_goes_by_one_branch_and_comes_back_b
     assert moved[1500] == pytest.approx(moved[2500]) and pull > release + 1.5
 
 
-def test_a_live_machine_goes_where_a_recorded_one_does_and_stands_when_not_moved():
+def test_live_and_whole_runs_agree_under_imposed_motion_and_unmoved_ends_stay():
     moved, live = 3e-4 * np.sin(0.3 * TIME), Bench(MACHINE)
     found = simulate(MACHINE, TIME, HEATED, elongation=moved)
     for k in range(2000):
@@ -242,7 +242,7 @@ def test_a_spring_that_is_not_linear_follows_its_curve(stiffening):
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_friction_is_against_the_motion_and_holds_what_stands(name):
+def test_friction_opposes_the_motion_and_holds_a_standing_load(name):
     rig, effects = RIGS[name].replace({"load.friction": 0.8}), {
         "effect.latent_heat.heat": 8e3, "effect.residual_strain.share": 0.1,
     }  # fmt: skip
@@ -258,5 +258,5 @@ def test_friction_is_against_the_motion_and_holds_what_stands(name):
         assert rubs[1:][step > 1e-12] == pytest.approx(0.8, abs=1e-6)
         assert rubs[1:][step < -1e-12] == pytest.approx(-0.8, abs=1e-6)
         assert np.ptp(x) > 1e-3 and np.mean(step == 0.0) > 0.01
-        # Without it their loop is wider.
+        # Without friction the loop is wider.
         assert np.ptp(run(RIGS[name], **changed).deflection) > np.ptp(found.deflection)

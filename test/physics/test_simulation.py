@@ -1,5 +1,5 @@
 """The compiled simulation: equations satisfied at every sample, a stiff solver on the same model
-(of the comparison of speed), heat, bending against first principles, boundaries, input."""
+(from the performance examination), heat, bending from first principles, boundaries, input."""
 
 from dataclasses import replace
 
@@ -41,8 +41,8 @@ def random_voltage(seed, samples, wires, period):
     return time, held
 
 
-# Where Newton's steps converge slowly: ended at steps of 1e-7 they leave an error of 2.5e-9, and of
-# the other one 6.3e-9 with those of 1e-10 that end them now.
+# Two cases of slow Newton convergence: ended at steps of 1e-7, STIFF keeps an error of 2.5e-9;
+# ended at the present 1e-10, SLOW keeps 6.3e-9.
 STIFF = {**alloy((321.4393121396765, 14.0, 325.75, 3.0), (13573015.0, 13710709.0)),
          "composite.stress_per_deflection_front": 25977424783.0,
          "composite.stress_per_deflection_back": 0.6 * 25977424783.0,
@@ -55,7 +55,7 @@ SLOW = {"wire.stress_influence_austenite": 13.8e6, "wire.stress_influence_marten
 @example(SLOW, 17567, 0.5)
 @given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
        st.sampled_from([0.005, 0.05, 0.5]))  # fmt: skip
-def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, period):
+def test_phase_stress_and_bending_are_consistent_at_every_sample(numbers, seed, period):
     rig = COMPOSITE.replace(numbers)
     time, voltage = random_voltage(seed, 120, 4, period)
     run = simulate(rig, time, voltage)
@@ -103,7 +103,7 @@ def test_any_number_of_wires_in_any_order_of_sides(sides):
     time, voltage = random_voltage(3, 300, len(sides), 0.05)
     run = simulate(rig, time, voltage)
     assert run.temperature.shape == (300, len(sides))
-    # Each side is on its own, so it moves as a rig that has that side only.
+    # Sides are independent: each moves as in a rig with that side only.
     expected = np.zeros(300)
     for side in set(sides):
         members = [i for i, name in enumerate(sides) if name == side]
@@ -146,7 +146,7 @@ def test_a_clamped_wire_and_a_composite_of_four_agree_with_lsoda():
 @pytest.mark.parametrize(("rig", "latent_heat"), [(WIRE, 12e3), (COMPOSITE, 0.0),
                                                   (COMPOSITE, 12e3)])  # fmt: skip
 def test_electrical_energy_is_stored_convected_or_latent_in_every_step(rig, latent_heat, law):
-    """Convection from the temperature at a step's start: the one at its end must be right."""
+    """Convection is computed from the start of a step, so the temperature at its end is tested."""
     if law != "cosine":
         pytest.importorskip("numba", reason="many simulations: slow without numba")
     rig = rig.replace({"wire.law": law})
@@ -208,7 +208,7 @@ def test_the_active_layer_is_as_wide_as_its_wires_and_not_as_the_beam():
     assert bending.wire_layer_width(pairs) == 2.0 * bending.wire_layer_width(rig)
 
 
-# --- What cannot be.
+# --- Invalid input.
 
 NONE = np.zeros((3, 1))
 
