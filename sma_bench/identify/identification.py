@@ -102,7 +102,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
             for name in ("E1", "E2", "E3"):
                 run.fail(name, str(error))
     _thermal(run, drives)
-    # E0 where no staircase gave E1 or E2, or E2 alone succeeded and c_p is neither found nor given.
+    # E0 if neither E1 nor E2 succeeded, or only E2 did and c_p is neither found nor given.
     driven, kinds = None, ("current", "temperature")
     slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
     if not run.of("E9") and (slow or not (run.of("E1") or run.of("E2"))):

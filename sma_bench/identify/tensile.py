@@ -60,7 +60,7 @@ class TensileReading(NamedTuple):
     """Features of one stress-strain curve."""
 
     initial: Rise  # before the plateau
-    after: Rise | None  # the plateau
+    after: Rise | None  # after the plateau
     plateau: tuple[float, float, float] | None  # strain, strain, mean stress Pa
     toe: float  # strain at which the initial rise, extended, begins
     pieces: Array  # (m, 2) the ends of its straight pieces

@@ -1,6 +1,6 @@
 """E5, transition temperatures by calorimetry: tangents on every scan (Fig. 7) of several
 cycles and rates (Table II); a line over the rates gives the onset at rate zero (Hoehne et al.,
-Thermochimica Acta 160, 1990). Prestrain delays the first heating, no other scan."""
+Thermochimica Acta 160, 1990). Prestrain raises A_s and A_f of the first heating only."""
 
 import math
 from collections.abc import Sequence

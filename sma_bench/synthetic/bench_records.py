@@ -51,7 +51,7 @@ def _refined(parameters: Parameters, time: ArrayLike,
              voltage: ArrayLike) -> tuple[Array, Array, IntArray]:
     seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)
-    if not active_effects(parameters) or not np.all(gaps > 0.0):  # `simulate` will refuse
+    if not active_effects(parameters) or not np.all(gaps > 0.0):  # `simulate` refuses such times
         return seconds, volts, np.arange(seconds.size)
     parts = np.append(np.maximum(np.ceil(gaps / _FINE_STEP), 1.0), 1.0).astype(int)
     first = np.cumsum(parts) - parts
