@@ -1,4 +1,4 @@
-"""The skeleton of a check: its options, its cases side by side, each result kept as it comes."""
+"""Common parts of the checks: options, parallel cases with results stored as they come, tables."""
 
 import argparse
 import json
@@ -28,9 +28,9 @@ IN_PIECES = {
 
 def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
                **own: tuple[Any, str]) -> argparse.Namespace:
-    """Options of `./bench check NAME`, of which `in_pieces` needs IN_PIECES. `own`: default and
-    help of each; False for a flag, several for a list, of texts the only ones that there are; a
-    type where there is no default; ... for what must be given."""
+    """Parsed options of `./bench check NAME`; `in_pieces` needs IN_PIECES among them. `own`:
+    (default, help) of each; default False: a flag; a list: several values, texts are the only
+    choices; a type: no default; ...: required."""
     parser = argparse.ArgumentParser(prog=f"./bench check {name}", description=doc)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     for option, (default, text) in own.items():
@@ -53,7 +53,7 @@ def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
 
 def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
               options: argparse.Namespace) -> list[Any]:
-    """The result (plain JSON) of every job, arguments of a module's `run`, in their order."""
+    """The results (plain JSON) of all jobs, which are arguments of a module's `run`, in order."""
     kept: dict[str, Any] = {}
     if options.json and options.json.is_file():
         kept = json.loads(options.json.read_text())
@@ -62,7 +62,7 @@ def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
     due = [job for job in jobs if str(job) not in kept]
     begun, call = time.monotonic(), partial(_labelled, run)
     alone = options.processes == 1 or len(due) == 1
-    # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
+    # New interpreters: forked ones would inherit numpy's and numba's state without their threads.
     with nullcontext() if alone else get_context("spawn").Pool(options.processes) as pool:
         found = map(call, due) if alone else pool.imap_unordered(call, due)
         for done, (job, result) in enumerate(found, 1):
@@ -80,12 +80,12 @@ def _labelled(run: Callable[..., Any], job: tuple) -> tuple[tuple, Any]:
 
 
 def poisson_bound(count: int) -> float:
-    """Mean of a Poisson distribution that gives so few, or fewer, in 5 % of all cases."""
+    """Upper 95 % limit of the mean of a Poisson distribution that gave this count."""
     return float(chi2.ppf(0.95, 2 * (count + 1)) / 2.0)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Columns under their titles; those whose title begins with > are set to the right."""
+    """Print a table; columns whose title begins with > are flush right."""
     lines = [[title.lstrip(">") for title in head], *([str(cell) for cell in row] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
@@ -95,7 +95,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
 
 
 def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> float:
-    """A row a number and of all: deviations, the share within `limit`; that of all."""
+    """Print a row per number and one for all: count, share within `limit`; returns that of all."""
     found: dict[str, list[float]] = {}
     for name, z in deviations:
         found.setdefault(name, []).append(z)
@@ -109,7 +109,7 @@ def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> flo
 
 
 def in_blocks(run: Callable[..., list], options: argparse.Namespace, n: int, *more: Any) -> list:
-    """What `run` finds, given seed, first, stop, more of twenty draws at most or half."""
+    """Results of `run(seed, first, stop, *more)` for all draws, in blocks of at most twenty."""
     step = min(20, max(n // 2, 1))
     jobs = [(options.seed, k, min(k + step, n), *more) for k in range(0, n, step)]
     return [one for found in in_pieces(run, jobs, options) for one in found]
@@ -117,7 +117,7 @@ def in_blocks(run: Callable[..., list], options: argparse.Namespace, n: int, *mo
 
 @contextmanager
 def ros_node(name: str, namespace: str, **context: Any) -> Iterator[Any]:
-    """A node of rclpy, for the time of a `with`; in a `context` of its own where one is given."""
+    """A node of rclpy for a `with` block; arguments `context` are those of its own context."""
     import rclpy
 
     rclpy.init(args=[], **context)
@@ -130,14 +130,14 @@ def ros_node(name: str, namespace: str, **context: Any) -> Iterator[Any]:
 
 
 def applies(rule: dict[str, Any], held: dict[str, Any]) -> bool:
-    """Whether every kind of `if` has one of its habits, and of `but` none."""
+    """True if each kind in `if` has one of the listed habits, and none in `but` does."""
     wanted, but = rule.get("if", {}), rule.get("but", {})
     has_none = all(held[kind] not in some for kind, some in but.items())
     return has_none and all(held[kind] in some for kind, some in wanted.items())
 
 
 def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dict]) -> dict:
-    """What is drawn, with what cannot be together made plain, or what a rule says."""
+    """The drawn habits, with excluded combinations changed as the rules say."""
     held = dict(drawn)
     for rule in rules:
         if applies(rule, held):
@@ -147,7 +147,7 @@ def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dic
 
 def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str,
                    *head: str) -> None:
-    """Outcomes by habit and kind, of all, of those that tell; wrong: the last two."""
+    """Print outcomes by habit and kind, for all and for those that tell; wrong: the last two."""
     kinds = sorted({one["kind"] for one in found if "kind" in one})
     groups = {**{f"{kind}: {habit}": [o for o in found if o["odd"].get(kind) == habit]
                  for kind, each in habits.items() for habit in each[1:]},
@@ -163,17 +163,17 @@ def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str,
     print(f"silently wrong {wrong} of {len(found)} ({wrong / len(found):.1%})")
 
 
-# --- What a piece of a campaign may take, in memory and time.
+# --- Limits of memory and time for a piece of a campaign.
 class TooLong(Exception):
-    """The work went on beyond its time."""
+    """The work took longer than allowed."""
 
 
 @contextmanager
 def allowance(memory: int, seconds: float) -> Iterator[None]:
-    """MemoryError beyond `memory` bytes more than now, TooLong beyond `seconds` of CPU time, the
-    system's for it included, or beyond _PATIENCE times as long on the wall. Of the main thread
-    only, for the signals; CPU time, for a busy machine is no fault; the wall's too, for what waits
-    on a pipe takes none."""
+    """Raises MemoryError beyond `memory` additional bytes, TooLong beyond `seconds` of CPU time
+    (user and system) or _PATIENCE times as much wall time. CPU time, because a busy machine is not
+    a fault; wall time, because waiting on a pipe takes no CPU time. Main thread only, as it uses
+    signals."""
 
     def too_long(number: int, _: object) -> None:
         waits = number == signal.SIGALRM

@@ -1,1 +1,1 @@
-"""Benches and instruments with faults, made without any of the package's physics."""
+"""Simulated benches and instruments with faults, without any physics of the package."""

@@ -1,5 +1,5 @@
-"""What may be wrong with a lab's records, one attack a row; a wire on a bench and its sensors: the
-heat equation stepped here, nothing of `sma_bench.physics`."""
+"""Faults in a lab's records, one attack per row; and a wire on a bench with sensors, by a heat
+equation solved here, without `sma_bench.physics`."""
 
 import math
 from collections import namedtuple
@@ -28,9 +28,9 @@ class Wire:
     room_drift: float = 0.0  # K over the record
     lead: float = 0.0  # ohm outside the voltmeter's taps on the wire
     loss_growth: float = 0.0  # of h, 1/K
-    wind: tuple[float, float] = (math.inf, 0.0)  # from this time on h is larger by this share
-    latent: float = 0.0  # J/kg, taken up around `change`
-    hot_resistance: float = 0.0  # of R, added around `change`
+    wind: tuple[float, float] = (math.inf, 0.0)  # time, after which h is larger by this share
+    latent: float = 0.0  # J/kg, absorbed within `change`
+    hot_resistance: float = 0.0  # share of R, added within `change`
     change: tuple[float, float] = (335.0, 350.0)  # K
 
     @property
@@ -38,7 +38,7 @@ class Wire:
         return self.mass * self.specific_heat / (self.loss * self.area)
 
     def run(self, voltage: Callable[[np.ndarray], np.ndarray], duration: float):
-        """Times, volts, amperes, kelvin, kelvin of the room, on a fine grid."""
+        """Times, volts, amperes, temperature and room temperature in K, on a fine grid."""
         step = self.tau / 30.0
         time = np.arange(0.0, duration + step, step)
         volts, room = voltage(time), self.room + self.room_drift * (time / duration - 0.5)
@@ -84,14 +84,14 @@ class Sensors:
     volts: Reading = Reading(0.004, 10.0 / 1023.0)
     amperes: Reading = Reading(0.015, 0.026)
     camera: Reading = Reading(0.08, 0.1)  # of degrees Celsius
-    emissivity: float = 1.0  # of the excess over the room
+    emissivity: float = 1.0  # factor of the temperature above the room
     camera_lag: float = 0.0
     camera_late: float = 0.0
     drift: float = 0.0  # K over the record
 
 
 def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Record:
-    """One bag, in memory: 3 % of the samples are lost."""
+    """One record, in memory; 3 % of the samples are lost."""
     time, volts, amperes, kelvin, room = wire.run(voltage, duration)
     clocks = []
     for rate in (sensors.rate, sensors.camera_rate):
@@ -148,12 +148,12 @@ class Bench:
 
     @property
     def warming(self) -> float:
-        """K, at the top of the staircase."""
+        """Temperature rise in K at the top of the staircase."""
         return self.top**2 / (self.wire.resistance * self.wire.loss * self.wire.area)
 
     def but(self, wire: Mapping[str, Any] = {}, sensors: Mapping[str, Any] = {},  # noqa: B006
             known: Mapping[str, float] = {}, **own: Any) -> "Bench":  # noqa: B006
-        """The same with some numbers changed; a mapping changes some of a reading."""
+        """A copy with some numbers changed; a mapping changes some fields of a reading."""
         of = {name: replace(getattr(self.sensors, name), **x) if isinstance(x, dict) else x
               for name, x in sensors.items()}
         return replace(self, wire=replace(self.wire, **wire), sensors=replace(self.sensors, **of),
@@ -161,7 +161,7 @@ class Bench:
 
 
 def paper_bench(random) -> Bench:
-    """A wire near Table I, whose lab has stated nothing of it but what it is made of."""
+    """A wire near Table I, of which the lab states only what it is made of."""
     near = 1.0 + 0.02 * random.standard_normal(3)
     wire = Wire(2.7 * near[0], 403.0 * near[1], 343.0 * near[2], room=random.uniform(293.0, 300.0))
     known = {"wire.mass": wire.mass, "wire.surface_area": wire.area}
@@ -169,7 +169,7 @@ def paper_bench(random) -> Bench:
 
 
 def bare_bench(random) -> Bench:
-    """A bare wire in still air as physics has it, whose lab knows it roughly."""
+    """A bare wire with realistic heat loss in still air, roughly known to its lab."""
     length, diameter = 0.2, 0.3e-3
     heat = random.uniform(2.4, 3.0), random.uniform(65.0, 85.0), random.uniform(430.0, 500.0)
     mass, area = 6450.0 * 0.25 * math.pi * diameter**2 * length, math.pi * diameter * length
@@ -187,7 +187,7 @@ Case = namedtuple("Case", "records parameters truth experiments", defaults=(None
 Attack = namedtuple("Attack", "experiment name make")  # `make` takes a generator and the seed
 
 
-# --- E1 to E3: a staircase and ramps of one wire, near Table I and bare in air by turns.
+# --- E1 to E3: a staircase and ramps of one wire, alternately near Table I and bare in air.
 Records = Sequence[Record]
 
 
@@ -197,7 +197,7 @@ def _both(bench: Bench, random) -> Records:
 
 def clean_bag(random, seed: int, change: Callable[[Bench], Bench] = lambda b: b,
               records: Callable[[Bench, Any], Records] = _both) -> Case:
-    """`change` what the bench is, or `records` how it is recorded."""
+    """`change` alters the bench, `records` the way it is recorded."""
     bench = change(paper_bench(random) if seed % 2 == 0 else bare_bench(random))
     wire = bench.wire
     truth = {"wire.resistance": wire.resistance, "wire.heat_transfer_coefficient": wire.loss,
@@ -215,7 +215,7 @@ def _windy(b: Bench) -> Wire:
     return replace(b.wire, loss=1.2 * b.wire.loss)
 
 
-# Another bench, and other records of it.
+# Attacks that change the bench, and attacks that change its records.
 BENCHES: dict[str, Callable[[Bench], Bench]] = {
     "air flow +20 % half-way": lambda b: b.but({"wind": (b.dwell * (b.levels - 0.5), 0.2)}),
     "slow triangles": lambda b: b.but(ramp_top=1.3 * b.ramp_top, rise=25.0),
@@ -241,7 +241,7 @@ RECORDS: dict[str, Callable[[Bench, Any], Records]] = {
     "another wire in the ramps": lambda b, r: (b.staircase(r), b.ramps(r, _other(b)))}
 
 
-# --- Signals changed in both records: what their times and values become.
+# --- Attacks that change times and values of signals in both records.
 def _hum(size: float, hertz: float):
     return lambda time, values: (time, values + size * np.sin(2 * np.pi * hertz * time))
 
@@ -308,9 +308,9 @@ WIRES = {
     "voltage and current swapped": partial(clean_bag, records=_exchanged)}
 
 
-# --- E5 to E8: an alloy in a calorimeter, a load frame, a tensile machine, between clamps.
+# --- E5 to E8: an alloy in a calorimeter, a load frame, a tensile machine, and clamps.
 def _unknown_alloy() -> Parameters:
-    """A lab that has bought a wire "of 70 degrees"."""
+    """Stated parameters of a lab that knows only the nominal 70 degC of its wire."""
     errors = dict.fromkeys(TEMPERATURES, 15.0)
     errors |= {"c_a": 2e6, "c_m": 2e6, "eps_l": 0.01, "e_a": 15e9, "e_m": 8e9, "theta": 0.1e6}
     guess = named(a_s=340.0, a_f=355.0, m_s=330.0, m_f=315.0, eps_l=0.043)
@@ -318,7 +318,7 @@ def _unknown_alloy() -> Parameters:
 
 
 def _lab(alloy: Alloy) -> Parameters:
-    """A load frame's lab has tested its moduli."""
+    """Stated parameters of a lab with a load frame, which has measured the moduli."""
     errors = named(e_a=0.04 * alloy.e_a, e_m=0.04 * alloy.e_m, theta=0.2 * abs(alloy.theta))
     return _unknown_alloy().replace(alloy.truth("e_a", "e_m", "theta"), errors)
 
@@ -331,7 +331,7 @@ def dsc(random, seed: int, **own) -> Case:
 
 def frame(random, seed: int, one=None, other=False, experiments=None, calorimeter=None,
           **own) -> Case:
-    """`one`: faults of the third load; `other`: it is another alloy; `calorimeter`: its faults."""
+    """`one`: faults at the third load; `other`: that is another alloy; `calorimeter`: faults."""
     alloy = Alloy.drawn(random)
     warmer = {name: getattr(alloy, name) + 8 for name in TEMPERATURES}
     strange = alloy._replace(**warmer, eps_l=0.8 * alloy.eps_l)

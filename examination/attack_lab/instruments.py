@@ -1,5 +1,5 @@
-"""Tables of calorimeters, load frames and tensile machines, with faults; own equations, nothing of
-`sma_bench.physics`."""
+"""Records of calorimeters, load frames and tensile machines, with faults; by equations of its own,
+without `sma_bench.physics`."""
 
 import math
 from collections import namedtuple
@@ -42,7 +42,7 @@ class Alloy(namedtuple("Alloy", "a_s a_f m_s m_f c_a c_m e_a e_m eps_l theta")):
         return named(**{name: getattr(self, name) for name in names or NAMES})
 
     def martensite(self, kelvin, stress, heating: bool, tail: float = 0.0):
-        """Fraction along a full branch; `tail`: share that transforms in an R-phase step later."""
+        """Martensite fraction on a full branch; `tail`: share that follows in an R-phase step."""
         low, high = (self.a_s, self.a_f) if heating else (self.m_f, self.m_s)
         shift = stress / (self.c_a if heating else self.c_m)
         late = _half(kelvin, high + shift + 4.0, high + shift + 16.0)
@@ -53,7 +53,7 @@ class Alloy(namedtuple("Alloy", "a_s a_f m_s m_f c_a c_m e_a e_m eps_l theta")):
 
 
 def faulty(instrument: str, faults: dict) -> SimpleNamespace:
-    """What an instrument does, with its faults: see attacks.yaml, `sound`."""
+    """Settings of an instrument with its faults; without, as `sound` in attacks.yaml."""
     sound = FAULTS["sound"][instrument]
     if unknown := faults.keys() - sound.keys():
         raise TypeError(f"no fault {', '.join(unknown)}")
@@ -65,13 +65,13 @@ def _half(kelvin, low, high):
 
 
 def relaxed(values, share):
-    """A reading that follows by this share a sample."""
+    """First-order lag: the reading follows by this share per sample."""
     rest = 1.0 - share
     return lfilter([share], [1.0, -rest], values, zi=[rest * values[0]])[0]
 
 
 def dsc(alloy: Alloy, random, span=(ZERO, 453.15), **faults: float) -> DscRecord:
-    """E5: heating and cooling by turns, `cycles` times at `rate` K/min."""
+    """E5: heating and cooling alternately, `cycles` times at `rate` K/min."""
     f = faulty("dsc", faults)
     segments, began, mass, heat = [], 0.0, 8e-6, 18e3
     per_second, (low, high) = f.rate / 60.0, span
@@ -99,7 +99,7 @@ def dsc(alloy: Alloy, random, span=(ZERO, 453.15), **faults: float) -> DscRecord
 
 
 def loops(alloy: Alloy, stress: float, random, span=(285.0, 420.0), **faults: float):
-    """E6, E9: full loops under one stress (Pa): kelvin, strain and stress as they are read."""
+    """E6, E9: full loops at one stress (Pa): temperature, strain and stress as read."""
     f = faulty("loops", faults)
     t, eps, points = [], [], 700
     for cycle in range(f.cycles):
@@ -135,7 +135,7 @@ def isobaric(alloy: Alloy, stress: float, random, *, area=1.0, **faults) -> Isob
 
 def tensile(alloy: Alloy, phase: str, number: int, random, *, said: str | None = None,
             **faults: float) -> TensileRecord:
-    """E7: one test, `said` to be of a phase."""
+    """E7: one test; `said`: the phase that its file states."""
     f = faulty("tensile", faults)
     cold = phase == "martensite"
     modulus, kelvin = (alloy.e_m, 293.15) if cold else (alloy.e_a, 403.15)
@@ -160,7 +160,7 @@ def tensile(alloy: Alloy, phase: str, number: int, random, *, said: str | None =
 
 
 def clamped(alloy: Alloy, random, up=(298.0, 322.0), **faults: float) -> Record:
-    """E8: a staircase of temperature `up` and down below A_s under tension."""
+    """E8: a staircase of temperatures `up` and down below A_s, under tension."""
     f = faulty("clamped", faults)
     hold, room, diameter = 20.0, 296.0, 0.3e-3
     levels = np.linspace(*up, 7)

@@ -1,14 +1,14 @@
-"""False cuts: hours of sound benches under the safety rules, each of which must let them be.
+"""False cuts: the safety rules on hours of benches without faults, where they must never cut.
 
-Nothing fails in these hours. Rooms have 5 to 40 degC and their file says 23; there are draughts (up
-to 0.25 m/s, 1.7 times the heat loss), wires whose resistance has grown by up to 20 %, sensors with
-four times the noise of their data sheets that now and then say nothing, slow ones, supplies that
-sag under load and dip. What is driven stays in truth 10 K below the highest temperature and at
-0.8 of the highest current. Who cuts then, cuts for nothing.
+Rooms have 5 to 40 degC while the parameter file says 23; there are draughts (up to 0.25 m/s, 1.7
+times the heat loss), wires whose resistance has grown by up to 20 %, sensors that are slow, have
+four times the noise of their data sheets and drop readings now and then, supplies that sag under
+load and dip. True temperatures stay 10 K below the limit, currents below 0.8 of theirs, so every
+cut is false.
 
-host       hardware/safety.py on the physics and instruments of the virtual bench: nineteen hours of
-           twenty a wire under the rules of the node that commands, else four wires under the
-           bridge's driver
+host       hardware/safety.py on the physics and sensors of the virtual bench: in 19 of 20 hours one
+           wire with the rules of the commanding node, in the others four wires with the bridge's
+           driver
 firmware   safety.c and session.c compiled for this computer (test/firmware/host/soak.c)
 
     ./bench check soak [--hours 1000] [--json soak.json]
@@ -47,45 +47,45 @@ from sma_bench.physics import Bench
 
 ROOT, HOUR = Path(__file__).resolve().parents[2], 3600.0
 GRID, COMMANDS = 0.01, 0.02  # s, of the physics and between commands
-GUST = 30.0  # s of one draught, and of one programme
-N, TICKS = round(GUST / COMMANDS), round(GUST / GRID)  # commands and steps in it
+GUST = 30.0  # s, length of a draught and of a drive
+N, TICKS = round(GUST / COMMANDS), round(GUST / GRID)  # commands and steps per draught
 CLOCK = GRID * np.arange(TICKS + 1)
-EVERY_DRIVEN = 20  # of the host's hours one is of four wires under the bridge's driver
+EVERY_DRIVEN = 20  # every 20th hour of the host has four wires with the bridge's driver
 BELIEVED = {"a wire": Parameters.defaults()}
 BELIEVED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
 SIMULATED = {p.name: p.default for p in SIMULATOR}
 BRIDGE = {p.name: p.default for p in SERIAL_BRIDGE}
 DEVICE = DeviceIdentity("sma-uno", "0", "", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0, 2.0)
-COOLER, SHARE_OF_CURRENT = 10.0, 0.8  # K and share that a sound bench stays below its limits
-SWING = 1.5  # K, of the room in an hour
-Cuts = list[tuple[float, str]]  # when, and why
-CURRENT_NOISE = 0.018  # A, of one conversion: an ACS712-20A
+COOLER, SHARE_OF_CURRENT = 10.0, 0.8  # K below, and share of, the limits of the bench
+SWING = 1.5  # K, change of the room temperature in an hour
+Cuts = list[tuple[float, str]]  # time and reason
+CURRENT_NOISE = 0.018  # A, of one conversion with an ACS712-20A
 DRIFT = 3.4e-3  # A/K, of its offset
-CONVERSIONS = 24  # of a board in a window of telemetry
+CONVERSIONS = 24  # per board and telemetry message
 
 
 @dataclass(frozen=True)
 class World:
-    """What an hour is like; factors, unless a unit stands there."""
+    """Conditions of an hour; factors, unless a unit is given."""
 
     room: float  # K
-    draught: float  # largest share by which it adds to the heat loss
+    draught: float  # largest relative increase of the heat loss
     age: tuple[float, ...]  # of each wire's resistance
-    austenite: float  # change of resistance
+    austenite: float  # relative change of resistance
     noise: float
     slow: bool
     sag: float  # ohm of supply and cables
-    dip: float  # largest share of the supply's volts, for half a second
+    dip: float  # largest relative drop of the supply voltage, for half a second
     camera: bool
     errors: tuple[float, ...]  # of volts, amperes, kelvins above the room; offsets in A, K
 
     def guard(self, channels: Sequence[str]) -> Guard:
-        """New rules, for what this bench measures."""
+        """A new guard, for the sensors of this bench."""
         feedback = ("power", "temperature") if self.camera else ("power",)
         return Guard(channels, feedback, BRIDGE["feedback_timeout"])
 
     def parameters(self, believed: Parameters, loss: float, warmer: float) -> Parameters:
-        """What the bench is made of, in a draught of `loss` and a room `warmer` K than at first."""
+        """True parameters in a draught of `loss` and a room `warmer` K than at the start."""
         return believed.replace({
             "wire.resistance": believed["wire.resistance"] * max(self.age),
             "wire.heat_transfer_coefficient": believed["wire.heat_transfer_coefficient"] * loss,
@@ -94,7 +94,7 @@ class World:
             "effect.temperature_lag.time_constant": 0.4 if self.slow else 0.03})
 
     def highest(self, limits: Limits) -> float:
-        """V that its owner drives at most."""
+        """Highest voltage [V] of the drive."""
         least = limits.resistance * max(self.age) * min(1.0 + self.austenite, 1.0)
         hottest = limits.maximum_temperature - COOLER - max(self.room, limits.ambient) - SWING
         heat = math.sqrt(hottest * limits.heat_loss * least)
@@ -102,7 +102,7 @@ class World:
 
 
 def draw_world(rng: np.random.Generator) -> World:
-    """Every stress in half of the hours."""
+    """Random conditions; each disturbance occurs in half of the hours."""
     uniform, has = rng.uniform, (rng.random(6) < 0.5).tolist()
     age = 1.0 + 0.2 * rng.random() * has[1]
     return World(CELSIUS_ZERO + uniform(5.0, 40.0), 0.7 * has[0], (age,) * 4, uniform(-0.15, 0.1),
@@ -112,7 +112,7 @@ def draw_world(rng: np.random.Generator) -> World:
 
 
 def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tuple[float, float]]:
-    """Of each `GUST` s: factor of the heat loss, K by which the room has warmed."""
+    """For each `GUST` s: factor of the heat loss, warming of the room in K."""
     for k in range(math.ceil(seconds / GUST)):
         calm = rng.random() < 0.4
         share = 0.02 * rng.random() if calm else min(rng.exponential(0.3), world.draught)
@@ -120,7 +120,7 @@ def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tu
 
 
 def programme(rng: np.random.Generator, most: float) -> Array:
-    """(N,) V by command: a second of nothing; rest, hold, staircase, triangle or pulses."""
+    """(N,) V, one per command: 0 V for a second; then rest, hold, staircase, triangle or pulses."""
     at, level, shape = np.arange(N), most * rng.random() ** 0.5, rng.integers(5)
     if shape < 2:
         found = np.full(N, level * shape)
@@ -136,7 +136,7 @@ def programme(rng: np.random.Generator, most: float) -> Array:
 
 
 def dips(rng: np.random.Generator, world: World) -> Array:
-    """(N,) share of its volts that the supply has, a command each."""
+    """(N,) relative voltage of the supply, one per command."""
     share = np.full(N, 1.0)
     if world.dip:
         begin, last = int(rng.integers(N)), int(rng.uniform(0.02, 0.6) / COMMANDS) + 1
@@ -146,7 +146,7 @@ def dips(rng: np.random.Generator, world: World) -> Array:
 
 def instruments(rng: np.random.Generator, world: World,
                 seed: int) -> tuple[dict[str, Instrument], int, int]:
-    """By quantity; steps of GRID between two readings of power and of temperature."""
+    """Sensors by quantity; steps of GRID between two readings of power and of temperature."""
     settings = {name: value * world.noise if name.endswith("_noise") else value
                 for name, value in SIMULATED.items()}
     kinds = ("voltage", "current", "temperature")
@@ -157,7 +157,7 @@ def instruments(rng: np.random.Generator, world: World,
 
 
 def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
-    """(n,) whether a sensor says nothing; of a slow camera never three pictures in a row."""
+    """(n,) True where a reading is dropped; never three in a row for a slow camera."""
     silent = rng.random(n) < (0.05 if world.slow or world.noise > 1.0 else 0.0)
     silent[2:] &= ~(silent[1:-1] & silent[:-2])
     silent[:2] = silent[-2:] = False
@@ -165,22 +165,22 @@ def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
 
 
 def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
-    """When, and why, the rules of a node that commands cut a sound wire."""
+    """Cuts of a faultless wire by the rules of a commanding node."""
     rng, believed = np.random.default_rng([1, seed]), BELIEVED["a wire"]
     limits = Limits.from_parameters(believed)
     chain, power_every, kelvin_every = instruments(rng, world, seed)
     volt_gain, ampere_gain, kelvin_gain = (1.0 + error for error in world.errors[:3])
     bench, cuts, begun, arrived = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0, [0.0]
-    heard = 1.0  # s, when every reading of a new guard has come
+    heard = 1.0  # s, after which a new guard has all its readings
     guard = world.guard(["wire"])
     for loss, warmer in gusts(rng, world, seconds):
         commands = programme(rng, world.highest(limits))
-        # The bench: what its supply leaves of the volts, and what instruments make of it.
+        # The bench with its sagging supply, and its sensors.
         own = limits.resistance * max(world.age)
         true = np.repeat(commands * dips(rng, world) * own / (own + world.sag), 2)
         bench = Bench(world.parameters(believed, loss, warmer), initial=bench.state)
         made = bench.follow(CLOCK, np.append(true, true[-1]))
-        # What a sensor reads when the next command comes, the last one made.
+        # The latest reading of a sensor when the next command comes.
         read = slice(power_every - 1, -1, power_every)
         volts = chain["voltage"].read_all(made.voltage[read, 0] * volt_gain)
         amperes = chain["current"].read_all(made.current[read, 0] * ampere_gain + world.errors[3])
@@ -200,7 +200,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
             if k % 2:
                 guard.commanded((asked[k // 2],))
             if k % kelvin_every == 0 and not silent[k // kelvin_every - 1] and world.camera:
-                reason = guard.fault(now) if stamp > heard else ""  # the oldest that it gets
+                reason = guard.fault(now) if stamp > heard else ""  # the oldest stamp
                 guard.temperature("wire", temperatures[k // kelvin_every - 1], stamp, now, limits)
             if k % power_every == 0:
                 guard.power("wire", *powers[k // power_every - 1], stamp, now, limits)
@@ -214,7 +214,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
 
 
 def driver_of(world: World) -> tuple[BenchDriver, Guard, Limits]:
-    """The bridge's driver of four wires, of a device that does as it is told and is not tested."""
+    """The bridge's driver of four wires, with a device that obeys and is not tested here."""
     believed, doing = BELIEVED["four wires"], dict.fromkeys(("limit", "arm", "drive", "stop"), done)
     limits, channels = Limits.from_parameters(believed), believed["bench.channels"]
     link: Any = SimpleNamespace(status=LinkStatus(True, DEVICE, connections=1), **doing)
@@ -224,11 +224,11 @@ def driver_of(world: World) -> tuple[BenchDriver, Guard, Limits]:
 
 
 def done(*_: Any) -> None:
-    """What such a device is asked."""
+    """Request to the device: does nothing."""
 
 
 def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
-    """When, and why, the bridge's driver cuts four sound wires."""
+    """Cuts of four faultless wires by the bridge's driver."""
     rng, believed = np.random.default_rng([2, seed]), BELIEVED["four wires"]
     driver, guard, limits = driver_of(world)
     chain, power_every, kelvin_every = instruments(rng, world, seed)
@@ -237,7 +237,7 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     own, most = limits.resistance * max(world.age), world.highest(limits)
     for loss, warmer in gusts(rng, world, seconds):
         commands = np.column_stack([programme(rng, most) for _ in channels])
-        # The device follows its supply; a board's pulses take from it what they carry.
+        # The device follows its supply; the pulses of a board load it.
         bench = Bench(world.parameters(believed, loss, warmer), initial=bench.state)
         held = np.repeat(commands, 2, axis=0)
         made = bench.follow(CLOCK, np.vstack([held, held[-1:]]))
@@ -253,7 +253,7 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
         kelvins = made.temperature_reading[1:]
         kelvins = world.room + (1.0 + world.errors[2]) * (kelvins - world.room) + world.errors[4]
         silent = silences(rng, world, TICKS // kelvin_every)
-        if not driver.enabled:  # where it begins, and after a cut
+        if not driver.enabled:  # at the start, and after a cut
             for k in range(100):
                 at = begun + GRID * (k - 100)
                 driver.take(Telemetry(0, 0, 0, 0, 12.0, (world.errors[3],) * 2, (1.5, 1.5),
@@ -289,13 +289,13 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
 # --- The firmware's rules
 @functools.cache
 def built() -> tuple[Any, Path]:
-    """The firmware's program, once a process, and the folder that it lives in."""
+    """The firmware's program, built once per process, and its folder."""
     folder = tempfile.TemporaryDirectory(prefix="soak_")
     return folder, build_program("soak.c", Path(folder.name), ("-O3",))
 
 
 def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> Cuts:
-    """When, and why, safety.c cuts four sound wires."""
+    """Cuts of four faultless wires by safety.c."""
     limits = Limits.from_parameters(BELIEVED["four wires"])
     numbers = (seed, seconds, 12.0, world.sag, world.dip, CURRENT_NOISE * world.noise,
                2.0 * world.errors[3], DRIFT * SWING, limits.resistance * max(world.age),
@@ -313,7 +313,7 @@ PLAYS = {"a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
 
 
 def some_played(kind: str, seed: int, first: int, stop: int) -> list[dict]:
-    """Drawn hours: of each its cuts, and how long it took."""
+    """Random hours: the cuts of each, and its run time."""
     found = []
     for number in range(10_000 * seed + first, 10_000 * seed + stop):
         started = time.monotonic()
@@ -346,12 +346,12 @@ def report(found: Sequence[dict[str, Any]]) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when nothing was cut."""
+    """0 if nothing was cut."""
     options = options_of("soak", __doc__, argv, seed=(1, "of all"),
                          hours=(1000, "of host and of firmware, each"), **IN_PIECES)
     driven = options.hours // EVERY_DRIVEN
     sizes = {"a wire": (options.hours - driven, 10), "four wires": (driven, 2),
-             "firmware": (options.hours, 10)}  # hours, and how many together in a piece
+             "firmware": (options.hours, 10)}  # hours, and hours per job
     jobs = [(kind, options.seed, first, min(first + step, count))
             for kind, (count, step) in sizes.items() for first in range(0, count, step)]
     with contextlib.suppress(KeyboardInterrupt):

@@ -1,8 +1,8 @@
-"""Does every node end when it is asked to? Groups of six, Ctrl-C at random instants.
+"""Does every node end on Ctrl-C? Groups of six nodes, at random instants.
 
 Real processes: while they start, from the interpreter's first line on, or while a simulated bench
-is driven and recorded. None may be there 3 s after Ctrl-C or stay in the graph that another program
-sees, and none may say more than lines. Ten seconds a group on two free cores.
+is driven and recorded. After Ctrl-C, none may run for more than 3 s, stay in the ROS graph seen by
+another program, or print a traceback. Ten seconds per group on two idle cores.
 
     ./bench check stops --groups 250 [--only experiment serial_bridge] --json stops.json
 """
@@ -29,10 +29,10 @@ from sma_bench.ros.processes import private_ros_environment
 GROUP, NAMESPACE = 6, "/stops"
 LIMIT = 3.0  # s
 _SLOWEST_START, _LONGEST_RUN, _PATIENCE, _FOR_EVER = 8.0, 3.0, 180.0, 30.0  # s
-_DISCOVERY = 0.5  # s that another program may take to hear of an end
-_LOOK = 0.005  # s
-# As the executables of an installation begin (setup.py): what comes while the interpreter starts is
-# heard at its first line.
+_DISCOVERY = 0.5  # s until another program may notice that a node has ended
+_LOOK = 0.005  # s between checks
+# As the executables of an installation begin (setup.py): a signal during the start of the
+# interpreter is handled at its first line.
 _HELD = ("/usr/bin/env", "--block-signal=INT")
 _HEARD = """\
 import os, signal, sys
@@ -49,7 +49,7 @@ _OWN = {"experiment": {"protocol": "composite_triangle", "autostart": "true"},
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when all of them ended in time, left no ghost and said no more than lines."""
+    """0 if all ended in time, left the ROS graph and printed no traceback."""
     options = options_of("stops", __doc__, argv, groups=(250, f"of {GROUP} nodes"),
                          seed=(1, "of all"), only=(tuple(NODES), "of these nodes"),
                          **IN_PIECES | {"processes": (1, "at once")})
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def stopped(seed: int, number: int, size: int,
             only: Sequence[str] = tuple(NODES)) -> list[dict[str, Any]]:
-    """How long each of a group took to stop and what was wrong; every other as it starts."""
+    """Stop time and errors of each node of a group; every other group is stopped at its start."""
     rng, while_starting = random.Random(f"{seed}/{number}"), number % 2 == 0
     private_ros_environment()
     with (ros_node("watcher", "/elsewhere") as node,
@@ -121,7 +121,7 @@ def _started(name: str, folder: Path) -> subprocess.Popen[bytes]:
 
 def _interrupted(processes: dict[str, subprocess.Popen[bytes]],
                  node: Any) -> tuple[dict[str, float], set[str]]:
-    """By name: s from Ctrl-C, as a terminal sends it, to its end; those another program sees."""
+    """By name, s from Ctrl-C to the end of the process; nodes that another program still sees."""
     ended, begin = dict[str, float](), time.monotonic()
     for process in processes.values():
         process.send_signal(signal.SIGINT)

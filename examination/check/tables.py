@@ -1,7 +1,7 @@
-"""Is a table of other people's read right, asked about, or refused, and never silently wrong?
+"""Are tables of other loggers read right, asked about or refused, and never silently wrong?
 
-Forty true tables (synthetic data) are written in dialects drawn at random, each imported as its
-user would, and what comes of it is compared with the truth.
+Forty true tables (synthetic data) are written in random dialects, each imported as a user would do
+it, and the result is compared with the truth.
 
     ./bench check tables --imports 4000 --seed 2 --json result.json
 """
@@ -24,13 +24,14 @@ from examination.tables import dialects
 from examination.tables.dialects import HABITS, Sample, Truth, Written
 from sma_bench.cli import main as run
 
-# What came of a file: every value and time within what the file writes, every column and sheet used
-# or named; a question, in the map or in the line; a reason, exit 2; exit 0 with values, times or
-# rows that are not those of the file, or a column left out without a word; anything but an answer.
+# Outcomes of an import. Right: every value and time within the resolution of the file, every column
+# and sheet used or named. Asked: a question in the map or the error. Refused: a reason, exit code
+# 2. Wrong: exit code 0 with other values, times or rows than the file, or a column silently left
+# out. Else raised.
 OUTCOMES = RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
-_ENOUGH = 0.7  # of an instrument's rows; its readers leave out turns and rests
+_ENOUGH = 0.7  # of an instrument's rows; readers leave out reversals and rests
 _MOST_LINE = 300
-_ADVICE = r"\b(expected|write|quote|give|states?|which)\b"  # else nobody can act on a refusal
+_ADVICE = r"\b(expected|write|quote|give|states?|which)\b"  # a refusal must say what to do
 
 
 def outcome(truth: Truth, sample: Sample) -> tuple[str, str]:
@@ -76,16 +77,16 @@ def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
 
 
 def _signal_fault(truth: Truth, sample: Sample, column: Written, signal: Any) -> str:
-    """What is wrong with a signal; "" if nothing is."""
+    """What is wrong with a signal, "" if nothing."""
     quantity, step = column.quantity, column.step
     time, values = np.asarray(signal.time), np.asarray(signal.values, dtype=float)
-    if quantity.kind == "duty":  # read as the direct voltage of the same heat
+    if quantity.kind == "duty":  # read as direct voltage
         values, step = (values / 12.0) ** 2, 2.0 * step
     if quantity.kind == "current" and sample.habits["cells"] == "SI letters":
         step = max(step, 1e-4)
     expected = sample.times[quantity.signal]
     true = quantity.values[::3] if len(expected) < len(quantity.values) else quantity.values
-    # Gaps are drawn: of them at most a tenth may be absent.
+    # At most a tenth of the rows may be missing, because of random gaps.
     rows = len(expected)
     fewest = 0.88 * rows if sample.habits["cells"] == "gaps" else rows
     if not fewest <= len(time) <= rows:
@@ -97,7 +98,7 @@ def _signal_fault(truth: Truth, sample: Sample, column: Written, signal: Any) ->
     if late > (1.05 if sample.tick >= 1.0 else max(sample.tick, 1e-4 * np.ptp(truth.time))):
         return f"times off by {late:.3g} s"
     error = np.abs(values - true[nearest]).max()
-    loose = 2.2 if quantity.signal in ("elongation", "deflection") else 1.2  # a zero was taken off
+    loose = 2.2 if quantity.signal in ("elongation", "deflection") else 1.2  # a zero was subtracted
     limit = loose * 0.5 * step + 1e-6 * np.abs(true).max()
     return "" if error <= limit else f"values off by {error:.3g}, written to {step:.3g}"
 
@@ -115,7 +116,7 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
         return WRONG, f"read as {kind or 'a run'}"
     if sample.habits["file"] == "xlsx, a second sheet" and "Data 2" not in str(record.findings):
         return WRONG, "sheet Data 2: vanished"
-    # What was read, what is true, and to what the file writes it.
+    # Read values, true values, and the resolution of the file.
     by_name = {c.quantity.signal: c for c in sample.columns if c.quantity}
     true = {c.signal: c.values for c in truth.columns}
     steps = {name: c.step for name, c in by_name.items()}
@@ -125,9 +126,9 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
             return WRONG, f"mass {record.mass:.4g} kg of {truth.mass:.4g}"
         true, steps = {"time": truth.time} | true, {"time": 1e-3} | steps
         got = {n: np.concatenate([getattr(s, n) for s in record.segments]) for n in true}
-        if per_gram:  # the mass is not stated: the flow of whatever was taken for it
+        if per_gram:  # no mass is stated: heat flow per assumed mass
             got["heat_flow"] = got["heat_flow"] * truth.mass / record.mass
-        if got["time"][-1] > truth.time[-1] + 1.0:  # stamps of a day, or of the epoch
+        if got["time"][-1] > truth.time[-1] + 1.0:  # absolute times of day, or since the epoch
             got["time"] = got["time"] - dialects.EPOCH
     elif kind == "isobaric":
         parts = [branch for cycle in record.cycles for branch in cycle.branches]
@@ -138,7 +139,7 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
             return WRONG, "extension or force taken for strain or stress, or the other way"
         got = {"strain": record.strain - record.strain[0] + true["strain"][0],
                "stress": record.stress}
-    # Every row read is one of the truth's, in all columns, and there are enough of them.
+    # Every row read is a true one in all columns, and enough rows were read.
     count, read = len(next(iter(true.values()))), len(next(iter(got.values())))
     if read < _ENOUGH * count:
         return WRONG, f"{read} rows of {count}"
@@ -175,7 +176,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def imported(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Imports `first` to `stop` of a seed: odd habits of the dialect, what came of it and why."""
+    """Imports `first` to `stop` of a seed: odd habits of the dialect, outcome and reason."""
     found = []
     for number in range(first, stop):
         truth = dialects.true_table(number % dialects.TABLES, seed)

@@ -1,10 +1,9 @@
-"""How often the twin calls noise a gap, and how late it sees a real one: bins drawn, no nodes.
+"""False alarms of the twin, and its delay for real gaps: simulated residuals, no nodes.
 
-A sensor's residual is white noise and a slow drift (Ornstein and Uhlenbeck) as large as the twin
-grants it, by its `allowed.*`, or half of that. The table counts the excursions of weeks of a
-composite bench that would be alarms at lower limits of surprise and at the twin's own; the true
-rate is below the last column with 95 % confidence (Poisson). A week of all drifts takes ten
-minutes.
+A sensor's residual is white noise plus a slow drift (Ornstein-Uhlenbeck), as large as the twin
+allows by `allowed.*`, or half of that. The table counts excursions, in weeks of a composite bench,
+that would be alarms at lower limits of surprise and at the twin's own; the true rate is below the
+last column with 95 % confidence (Poisson). A week with all drifts takes ten minutes.
 
     ./bench check twin_alarms [--weeks 8] [--seed 1] [--drift 1 --time 200]
 """
@@ -24,20 +23,20 @@ from sma_bench.twin.comparison import BIN, MEMORY, SURPRISING, Bin, SignalBins
 SETTINGS = {p.name: p.default for p in NODE_TABLES["twin"]}
 WINDOW, FEWEST = SETTINGS["window"], round(SETTINGS["learning"] / BIN)
 THRESHOLD, ALLOWED = SETTINGS["threshold"], SETTINGS["allowed.temperature"]
-SCATTER, COUNT = 0.1, 8  # K of a sample, and samples a bin: a camera of 40 Hz
+SCATTER, COUNT = 0.1, 8  # K, noise of a sample; samples per bin: a camera of 40 Hz
 SIGNALS = 9  # of a composite bench: four currents, four temperatures, the deflection
 WEEK, MINUTE = 7 * 24 * 3600.0, round(60.0 / BIN)  # s, bins
 EVERY = 5  # bins between two verdicts
 LIMITS = (4.0, 4.5, 5.0, SURPRISING)
-TIMES = (3.0, 10.0, 30.0, 200.0)  # s, of the drift
+TIMES = (3.0, 10.0, 30.0, 200.0)  # s, correlation times of the drift
 STARTS = 1000
-MOST = 1.0  # alarms a bench and week
+MOST = 1.0  # alarms per bench and week
 STEPS = (0.75, 1.5, 2.0, 3.0, 5.0)  # K
 TRIALS = 40
 
 
 def residuals(random: np.random.Generator, bins: int, drift: float, time: float) -> Array:
-    """(bins,) K of a sensor whose drift has a deviation of `drift` K, correlated for `time` s."""
+    """(bins,) K, residuals of a sensor; drift of std `drift` K with correlation time `time` s."""
     phi = math.exp(-BIN / time)
     driven = random.standard_normal(bins) * drift * math.sqrt(1.0 - phi**2)
     driven[0] = random.standard_normal() * drift
@@ -46,7 +45,7 @@ def residuals(random: np.random.Generator, bins: int, drift: float, time: float)
 
 
 def excursions(residual: Array) -> Iterator[float]:
-    """Largest surprise of each time that the gap was beyond the threshold, by the twin's code."""
+    """Largest surprise of each excursion beyond the threshold, by the twin's code."""
     width = round(WINDOW / BIN)
     sums = np.cumsum(np.insert((residual / math.hypot(SCATTER, ALLOWED)) ** 2, 0, 0.0))
     ends = np.arange(width, len(residual) + 1, EVERY)
@@ -86,7 +85,7 @@ def delay_of_gap(residual: Array, known: int) -> float:
     for end in range(known, len(residual), EVERY):
         add(signal, residual, end, end + EVERY)
         window = squares[max(end + EVERY - width, 0) : end + EVERY]
-        if np.sqrt(window.mean()) < THRESHOLD:  # no gap: a verdict takes its time
+        if np.sqrt(window.mean()) < THRESHOLD:  # no gap yet
             continue
         said = signal.read(ALLOWED, 1, FEWEST, WINDOW, THRESHOLD)
         if said and said.gap[0] >= THRESHOLD and said.surprise >= SURPRISING:
@@ -96,7 +95,7 @@ def delay_of_gap(residual: Array, known: int) -> float:
 
 def delays(random: np.random.Generator, step: float, drift: float, time: float,
            trials: int = TRIALS) -> Array:
-    """(trials,) s from a step of the residual to the verdict that names it within a minute."""
+    """(trials,) s from a step of the residual to its detection, within a minute."""
     found = []
     for _ in range(trials):
         residual = residuals(random, MEMORY + MINUTE, drift, time)
@@ -106,7 +105,7 @@ def delays(random: np.random.Generator, step: float, drift: float, time: float,
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 where, for sure, no drift that the twin grants gives more than one alarm a week."""
+    """0 if, with 95 % confidence, no allowed drift causes more than one alarm per week."""
     options = options_of(
         "twin_alarms", __doc__, argv, weeks=(8, "of a bench, of every kind of drift"),
         seed=(1, "of all"), time=(TIMES, "s, of the drift"),

@@ -1,11 +1,11 @@
-"""Are wires of other laws predicted as well as by their own, and never worse than by eight numbers?
+"""Are wires with other laws predicted nearly as well as by their true law, and better than a rival?
 
-A wire pulls a spring, duty in, position out, simulated here by lines that share no code with the
-package: the cosine without latent heat in constant convection, the logistic law, a stiff spring,
-Brinson's law as the package has it and as it is printed, whose nearest is the package's own. Two
-runs are identified, the others predicted: with nothing stated of the law, with the world's own form
-stated, and by the eight numbers of `check real`; root mean square of what is missed, in % of a
-run's stroke, 0.3 % of noise among it; and which law is put first.
+A wire pulls a spring; duty is the input, position the output. It is simulated here without any code
+of the package: the cosine law without latent heat and with constant convection, the logistic law, a
+stiff spring, and Brinson's law as in the package and as printed. Two runs are identified, the
+others predicted: with no stated law, with the true law stated, and by the eight numbers of `check
+real`. The result is the rms error in % of a run's stroke, including 0.3 % of noise, and the most
+probable law.
 
     ./bench check worlds [--json worlds.json]
 """
@@ -32,13 +32,13 @@ LAWS = ("cosine", "logistic", "brinson", "printed")
 COSINE, LOGISTIC, BRINSON, PRINTED = range(len(LAWS))
 PAIRS = (("step", "half"), ("step", "ramp"))
 WAYS = ("nothing stated", "true form", "eight numbers")
-STEP, EACH = 0.01, 10  # s of a simulation; steps a reading
-NOISE = 0.003 * np.sqrt(2.0)  # of the stroke, of a reading; two are in a bin that is judged
-TIMES = 1.5  # of the true form's error
+STEP, EACH = 0.01, 10  # s, step of the simulation; steps per reading
+NOISE = 0.003 * np.sqrt(2.0)  # share of the stroke, of one reading; two are averaged in a bin
+TIMES = 1.5  # times the error with the true law, allowed
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """1 if a world is predicted worse than it should be."""
+    """1 if a world is predicted worse than allowed."""
     own = {"world": (tuple(WORLDS), "which worlds"), "seeds": (2, "wires of each")} | IN_PIECES
     options = options_of("worlds", __doc__, argv, **own)
     jobs = [(w, s, *p) for w in options.world for s in range(options.seeds) for p in PAIRS]
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def try_world(world: str, seed: int, *fitted: str) -> dict[str, Any]:
-    """One wire: mean error of the runs that were not fitted, each way."""
+    """One wire: mean error on the hold-out runs, for each way of prediction."""
     own, rng = WORLDS[world], np.random.default_rng([list(WORLDS).index(world), seed])
     wire = [rng.uniform(*limits) for limits in (HELD["wires"] | own["wires"]).values()]
     runs = {name: run_of(name, own["law"], wire, rng) for name in DRIVES}
@@ -82,7 +82,7 @@ def try_world(world: str, seed: int, *fitted: str) -> dict[str, Any]:
 
 
 def run_of(name: str, law: str, wire: Sequence[float], rng: np.random.Generator) -> Record:
-    """A run as its bench records it; `wire`: numbers in the order of `wires` in worlds.yaml."""
+    """A run as recorded; `wire`: numbers in the order of `wires` in worlds.yaml."""
     drive = np.array(DRIVES[name])
     time = np.arange(0.0, drive[-1, 0], STEP)
     duty = np.interp(time, *drive.T)
@@ -95,7 +95,7 @@ def run_of(name: str, law: str, wire: Sequence[float], rng: np.random.Generator)
 
 @compiled
 def elongation(duty: Array, law: int, numbers: Array) -> Array:
-    """m, of austenite a, martensite s with a strain and t without; branches lose in proportion."""
+    """Elongation in m; fractions: austenite a, martensite s with strain and t without."""
     (ohms, change, h, n, emissivity, c, latent, room, a_s, a_f, m_s, m_f, strain, e_m, e_a, c_a,
      c_m, expands, spring, preload, start, wide) = numbers  # fmt: skip
     length, section, area, mass = 1.0, 1.963e-7, 1.571e-3, 1.27e-3
@@ -123,7 +123,7 @@ def elongation(duty: Array, law: int, numbers: Array) -> Array:
                 now_t += (a - now_a) * (1.0 - oriented) if law >= BRINSON else 0.0
                 now_s = 1.0 - now_a - now_t
             there = share_of((stress - c_m * max(now - m_s, 0.0) - start) / wide, COSINE)
-            if law == PRINTED and there > now_s:  # of both the others; above M_s by more stress
+            if law == PRINTED and there > now_s:  # from both; above M_s this needs more stress
                 now_a, now_s = now_a * (1.0 - there) / (1.0 - now_s), there
             elif law == BRINSON and stress > before:
                 now_s = max(now_s, there * (1.0 - now_a))
@@ -142,7 +142,7 @@ def elongation(duty: Array, law: int, numbers: Array) -> Array:
 
 @compiled
 def share_of(position: float, law: int) -> float:
-    """What is left of a phase, 0 to 1 over its range."""
+    """Remaining share of a phase, at `position` 0 to 1 in its transformation range."""
     if law == LOGISTIC:
         return 1.0 / (1.0 + np.exp(-7.3 * (position - 0.5)))
     return np.sin(0.5 * np.pi * min(max(position, 0.0), 1.0)) ** 2
