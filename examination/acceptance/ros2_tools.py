@@ -2,9 +2,9 @@
 
     python3 -m pytest -v examination/acceptance/ros2_tools.py [-k WORD]
 
-Runs where `ros2`, `launch` and colcon are found (a sourced Jazzy), and is skipped elsewhere; never
-in the ordinary suite, which shows all that needs none of these tools (test/nodes,
-test/reliability). Builds this checkout in a new workspace and plays each test with real processes.
+Needs `ros2`, `launch` and colcon (a sourced Jazzy), and is skipped without them. Not part of the
+test suite, which tests everything that needs none of these tools (test/nodes, test/reliability).
+Builds this checkout in a new workspace and runs each test with real processes.
 """
 
 import os
@@ -33,8 +33,8 @@ from std_msgs.msg import Float64MultiArray  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECKOUT = ("--base-paths", str(ROOT), "--packages-select", "sma_bench")
-PATIENCE = 480.0  # s: what compiles does it once
-# s, that a node of the bench has after the end of its launch: to 0 V, and to be gone.
+PATIENCE = 480.0  # s: the first run compiles
+# s after the end of a launch, within which a node must set 0 V, and must have ended.
 LEFT = 1.0
 WARM = "name: warm\nsteps:\n- {kind: hold, name: hold, level: 3.0, duration: 600.0}\n"
 OWN_LAUNCH_FILE = """\
@@ -47,7 +47,7 @@ def generate_launch_description():
 
 
 class Program(psutil.Popen):
-    """A program in a session of its own, as in a terminal, and everything that it starts."""
+    """A program in a session of its own, as in a terminal, with all its child processes."""
 
     def __init__(self, command: list[str], log: Path, environment: dict[str, str]) -> None:
         self.log = log
@@ -66,7 +66,7 @@ class Program(psutil.Popen):
         return self.children(recursive=True)
 
     def ctrl_c(self) -> None:
-        """As the terminal does it: to all of them at once."""
+        """Send SIGINT to all processes at once, as a terminal does."""
         os.killpg(self.pid, signal.SIGINT)
 
     def ends(self) -> None:
@@ -76,7 +76,7 @@ class Program(psutil.Popen):
     def ends_cleanly(self) -> None:
         nodes = self.nodes()
         self.ends()
-        # asyncio loses the status of a node that has ended when launch sends it a signal just then.
+        # asyncio loses the exit status of a node that ends just when launch sends it a signal.
         lost = re.findall(r"child process pid (\d+) exit status already read", self.output)
         died = re.findall(r"died \[pid (\d+), exit code", self.output)
         assert set(died) <= set(lost), self.output[-600:]
@@ -109,7 +109,7 @@ def until(condition: Any, otherwise: Any, patience: float = PATIENCE) -> None:
 
 
 class Stage:
-    """A built workspace, a ROS domain and a folder; what a test starts is gone after it."""
+    """A built workspace, a ROS domain and a folder; all processes are ended after a test."""
 
     def __init__(self, folder: Path) -> None:
         os.environ.setdefault("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
@@ -138,13 +138,13 @@ class Stage:
         return self.programs[-1]
 
     def launch(self, file: str = "wire_bench", **arguments: object) -> Program:
-        """`ros2 launch` of one of the package's files; nothing recorded unless asked for."""
+        """`ros2 launch` of one of the package's files; without recording by default."""
         given = {"record": "false", "nodes": "identification"} | arguments
         words = (f"{name}:={value}" for name, value in given.items())
         return self.start("ros2", "launch", "sma_bench", f"{file}.launch.py", *words)
 
     def driven(self, namespace: str, **given: str) -> tuple[Program, list[Any]]:
-        """A launched simulated bench whose experiment heats the wire, and the commands heard."""
+        """A launched simulated bench whose experiment heats the wire, and the received commands."""
         warm, commands, topic = self.folder / "warm.yaml", [], f"/{namespace}/voltage_command"
         warm.write_text(WARM)
         self._ears.create_subscription(Float64MultiArray, topic, commands.append, 1000)
@@ -214,7 +214,7 @@ def test_ctrl_c_twice_and_while_nodes_import_ends_cleanly(stage):
     bench.ctrl_c()
     bench.ends_cleanly()
     assert commands[-1].data[0] == 0.0
-    for k in range(8):  # from the interpreter's own start to the node's first line
+    for k in range(8):  # from the start of the interpreter to the first line of the node
         bench = stage.launch(namespace=f"early_{k}")
         bench.says("process started")
         time.sleep(0.15 * k)

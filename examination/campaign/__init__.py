@@ -1,11 +1,11 @@
-"""The reliability campaign: what is done to the software, and what it must do then."""
+"""The reliability campaign: faults, and what the software must do under them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 
 class Outcome(NamedTuple):
-    """A line of the table: how often something was tried, what came of it, what was allowed."""
+    """A line of the table: what was tried, how often, the result, and the limit."""
 
     what: str
     tried: int
@@ -15,7 +15,7 @@ class Outcome(NamedTuple):
 
 
 def counted(what: str, tried: int, wrong: Sequence[str], limit: str = "failed 0") -> Outcome:
-    """Of so many tries, of which each that went wrong has its text."""
+    """The outcome of `tried` trials, with a text in `wrong` for each failure."""
     failures = [text for text in wrong if text]
     found = "; ".join([f"failed {len(failures)}", *dict.fromkeys(failures[:5])])
     return Outcome(what, tried, found, limit, not failures)

@@ -1,5 +1,5 @@
-"""Good inputs of each kind, and what makes their bytes, documents and readings hostile; the parsers
-and every command fed with them."""
+"""Good inputs of each kind, functions that make their bytes, documents and readings hostile, and
+trials of the parsers and of every command with them."""
 
 import contextlib
 import io
@@ -40,7 +40,7 @@ from sma_bench.report.reports import read_result
 MEMORY, SECONDS = 1 << 30, 10.0
 _DRAWN_ONE_IN, _SHOWN = 7, 160
 
-# --- Good ones.
+# --- Good inputs.
 FOLDER = Path(__file__).parent / "good"
 GOOD = {path.name: path.read_bytes() for path in FOLDER.iterdir()}
 RESULT, DIAGNOSIS = (json.loads(GOOD[f"{name}.json"]) for name in ("result", "diagnosis"))
@@ -53,12 +53,12 @@ _SERIAL = (
     + _TELEMETRY)
 
 
-# A parser, a good input, what reads it, and the file name that it goes by.
+# A parser: its name, a good input, the reading function, and a file name.
 Parser = namedtuple("Parser", "name good read file", defaults=("input.txt",))
 
 
 def _node_arguments(file: Path) -> None:
-    """A parameter file for a node, and each of its lines as -p name:=value."""
+    """Read a parameter file as a node does, and each of its lines as -p name:=value."""
     check_arguments("experiment", ["--ros-args", "--params-file", str(file)])
     for text in file.read_text(encoding="utf-8", errors="replace").splitlines():
         name, _, value = text.strip().partition(": ")
@@ -66,7 +66,7 @@ def _node_arguments(file: Path) -> None:
 
 
 def _serial(file: Path) -> None:
-    """The stream in pieces, as lines and frames, then bodies; wrong is a ProtocolError."""
+    """Read a serial stream in pieces: lines and frames, then bodies; a ProtocolError is fine."""
     received = file.read_bytes()
     bodies = received.split(b"\n")
     for binary in (False, True):
@@ -80,7 +80,7 @@ def _serial(file: Path) -> None:
 
 
 def parsers() -> tuple[Parser, ...]:
-    """Every parser of what comes from outside; the first four are of instruments."""
+    """Every parser of data from outside; the first four are of instrument files."""
     wire = Parameters.defaults()
     of_reference = partial(load_protocol, parameters=wire, quantity=TEMPERATURE)
     return (
@@ -98,7 +98,7 @@ def parsers() -> tuple[Parser, ...]:
         Parser("serial bytes", _SERIAL, _serial))
 
 
-# --- Hostile ones.
+# --- Hostile inputs.
 NUMBERS = (0.0, -0.0, 1.0, 5.0, 25.0, 300.0, -1.0, 1e-300, 5e-324, 1e9, 1e38, 1e308, -1e308,
            math.inf, -math.inf, math.nan)  # fmt: skip
 
@@ -114,11 +114,11 @@ EDITS = ("cut", "drop", "twice", "insert", "replace", "replace")
 
 
 def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
-    """Edits at places (0 to 1): cut, drop, twice, insert `n` bytes, replace a whole token."""
+    """Apply edits at places (0 to 1): cut, drop, repeat or insert `n` bytes, replace a token."""
     for kind, place, n, payload in edits:
         at = int(place * (len(content) + 1))
         end = at + n
-        if kind == "replace":  # a whole token: what a file's author would have got wrong
+        if kind == "replace":  # a whole token, as a mistake of a file's author
             end = at
             while end < len(content) and content[end : end + 1] not in b" \t\n,:{}[]":
                 end += 1
@@ -130,7 +130,7 @@ def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
 
 
 def mutated(rng: random.Random, content: bytes, most: int = 5) -> bytes:
-    """Bytes with one to `most` edits."""
+    """The bytes after one to `most` random edits."""
     return edited(content, [(rng.choice(EDITS), rng.random(), rng.choice((1, 2, 4, 8, 40, 512)),
                              rng.choice((*TRIPWIRES, rng.randbytes(4))))
                             for _ in range(rng.randint(1, most))])
@@ -138,7 +138,7 @@ def mutated(rng: random.Random, content: bytes, most: int = 5) -> bytes:
 
 # --- documents ----------------------------------------------------------------------------------
 def changed(rng: random.Random, node: Any) -> Any:
-    """A document with a leaf, a name or a branch put in place of something else."""
+    """A document in which a leaf, a name or a branch is replaced."""
     if type(node) in (int, float) and abs(node) < 1e300 and rng.random() < 0.7:
         return node * rng.choice((0.5, 0.9, 1.1, 1.5, 3.0, 100.0, 1e-3))
     if not isinstance(node, (dict, list)) or not node or rng.random() < 0.15:
@@ -156,7 +156,7 @@ def changed(rng: random.Random, node: Any) -> Any:
 
 
 def hostile_document(rng: random.Random, document: Any, is_json: bool = False) -> bytes:
-    """A changed document as YAML or JSON, of one in three with bytes edited too."""
+    """A changed document as YAML or JSON; in one of three, bytes are edited, too."""
     for _ in range(rng.choice((1, 1, 2, 4))):
         document = changed(rng, document)
     text = json.dumps(document) if is_json else str(yaml.safe_dump(document, allow_unicode=False))
@@ -169,7 +169,7 @@ def hostile_document(rng: random.Random, document: Any, is_json: bool = False) -
 # --- numbers ------------------------------------------------------------------------------------
 def changed_series(rng: random.Random, time: np.ndarray,
                    values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Times and values of a sensor, one of them as no sensor says it."""
+    """Times and values of a sensor, one of them impossible."""
     time, values, pick = time.copy(), values.copy(), rng.choice
     first, last = sorted((rng.randrange(len(time)), rng.randrange(len(time))))
     trick = pick(("set", "scaled", "gap", "paced", "cut", "shifted", "rounded"))
@@ -190,7 +190,7 @@ def changed_series(rng: random.Random, time: np.ndarray,
     return time, values
 
 
-# --- Cases: what commands get, and options; those of import None where it is no table.
+# --- Cases: input and options of commands; the options of import are None if it is not a table.
 Case = namedtuple("Case", "path options tabled", defaults=((), None))
 _RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 
@@ -209,7 +209,7 @@ def _bag(rng: random.Random, bag: Path, signals: list[Signal]) -> Path:
 
 
 def hostile_drive(rng: random.Random, folder: Path) -> Case:
-    """The drive, of which some readings, times, signals or bytes are not what a bench says."""
+    """The drive, with some impossible readings, times, signals or bytes."""
     signals = [s for s in drive().signals.values() if rng.random() < 0.9]
     for _ in range(rng.choice((0, 1, 1, 2, 3)) if signals else 0):
         k = rng.randrange(len(signals))
@@ -219,7 +219,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
     with np.errstate(over="ignore", invalid="ignore"):
         try:
             bag = _bag(rng, folder / "bag", signals)
-        except (ValueError, OverflowError, InputError):  # not to be written: the drive as it was
+        except (ValueError, OverflowError, InputError):  # cannot be written: take the good one
             shutil.rmtree(folder / "bag", ignore_errors=True)
             bag = _bag(rng, folder / "bag", list(drive().signals.values()))
     if rng.random() < 0.4:
@@ -277,7 +277,7 @@ FOR_ALL = tuple(command for command in COMMANDS if command != "import")
 
 
 def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
-    """`size` inputs of all kinds by turns, each through all commands."""
+    """`size` inputs of alternating kinds, each given to all commands."""
     failed: dict[str, list[str]] = {name: [] for name in MAKERS}
     results: dict[str, list[str]] = {name: [] for name in MAKERS}
     _warm_up(folder)
@@ -285,7 +285,7 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
         name = list(MAKERS)[k % len(MAKERS)]
         for left in ("given", "out"):
             shutil.rmtree(folder / left, ignore_errors=True)
-        # Figures are put together but not rendered, which takes most of the time.
+        # Figures are composed but not rendered, which would take most of the time.
         undrawn = mock.patch.object(Picture, "_file", lambda *_, **__: b"")
         with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else undrawn:
             said, succeeded = try_case(MAKERS[name], random.Random(f"{seed} {k}"), folder)
@@ -304,7 +304,7 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
 
 
 def _warm_up(folder: Path) -> None:
-    """What the commands load, and compile once for a machine, is no input's fault."""
+    """Load and compile everything first, so that it does not count as time of an input."""
     bag, table = folder / "warm", FOLDER / "table.csv"
     (folder / "out").mkdir()
     write_record(bag, list(drive().signals.values()))
@@ -316,7 +316,7 @@ def _warm_up(folder: Path) -> None:
 
 def try_case(maker: Callable[[random.Random, Path], Case], rng: random.Random,
              folder: Path) -> tuple[list[str], list[str]]:
-    """What went wrong with one input, and the commands that had a result."""
+    """Errors with one input, and the commands that gave a result."""
     given, out = folder / "given", folder / "out"
     given.mkdir(parents=True)
     out.mkdir()
@@ -335,14 +335,14 @@ def try_case(maker: Callable[[random.Random, Path], Case], rng: random.Random,
 
 
 def run_command(command: str, case: Case, out: Path, seconds: float = SECONDS) -> tuple[str, int]:
-    """What is wrong with what a command did, "" for nothing, and its exit code."""
+    """What a command did wrong, "" for nothing, and its exit code."""
     told, errors = io.StringIO(), io.StringIO()
     arguments = [command, *COMMANDS[command](case, out), "--", str(case.path)]
     try:
         with (allowance(MEMORY, seconds), warnings.catch_warnings(),
               contextlib.redirect_stdout(told), contextlib.redirect_stderr(errors)):
             code = main(arguments)
-    except Exception as error:  # that is what is looked for
+    except Exception as error:  # any exception is a finding
         return f"{type(error).__name__}: {str(error)[:_SHOWN]!r}", 1
     said = errors.getvalue().splitlines()
     lines = [line for line in said if not line.startswith("sma-bench: note:")]
@@ -370,13 +370,13 @@ def try_input(parser: Parser, content: bytes, folder: Path) -> str:
             parser.read(path)
     except InputError as error:
         return "" if "\n" not in str(error) else f"more than one line: {str(error)[:_SHOWN]!r}"
-    except Exception as error:  # that is what is looked for
+    except Exception as error:  # any exception is a finding
         return f"{type(error).__name__}: {str(error)[:_SHOWN]!r}"
     return ""
 
 
 def edited_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
-    """`size` edited inputs for every parser, and the good one."""
+    """`size` edited inputs for every parser, and the good input."""
     logging.disable(logging.WARNING)
     folder.mkdir(parents=True, exist_ok=True)
     outcomes = []

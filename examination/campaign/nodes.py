@@ -1,5 +1,5 @@
-"""Nodes under faults: foreign traffic, kills in every order, hours of a bench in virtual time. A
-campaign is called with its size, a seed and a folder."""
+"""Nodes under faults: foreign traffic, kills in every order, hours of a bench in virtual time. Each
+campaign is a function of its size, a seed and a folder."""
 
 import contextlib
 import os
@@ -36,12 +36,12 @@ from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
 NAMESPACE = "/campaign"
 NODES = ("simulator", "experiment", "recorder")
-PATIENCE = 120.0  # s. The machine may be busy: what is judged is never how soon a node is up.
+PATIENCE = 120.0  # s. The machine may be busy: start times of nodes are not judged.
 RELIABLE = QoSProfile(depth=2000)
 
 
 class Talker(NodeCalls):
-    """The campaign's own node, and the processes that it speaks to."""
+    """The campaign's own node, and the processes of the nodes under test."""
 
     def __init__(self, node: Node, nodes: NodeProcesses) -> None:
         super().__init__(node, self._look)
@@ -60,21 +60,21 @@ class Talker(NodeCalls):
             rclpy.spin_once(self.node, timeout_sec=0.005)
 
     def heard(self, topic: str, kind: type, latched: bool = False) -> list[Any]:
-        """Messages of a topic, growing while this spins."""
+        """The list of messages of a topic; it grows while this node spins."""
         messages: list[Any] = []
         qos = LATCHED if latched else RELIABLE
         self.node.create_subscription(kind, topic, messages.append, qos)
         return messages
 
     def kill(self, name: str) -> None:
-        """End a node without a warning."""
-        with contextlib.suppress(ProcessLookupError):  # it has ended by itself
+        """Kill a node by SIGKILL."""
+        with contextlib.suppress(ProcessLookupError):  # it has ended already
             os.kill(self.nodes.pid(name), signal.SIGKILL)
         self.nodes.end(name)
 
     def until_done(self, what: str, work: Callable[[], Any]) -> None:
-        """Try until a call of a node succeeds: one that was killed is in the graph for another
-        20 s, and a request then goes to nobody where its successor is not there yet."""
+        """Repeat a call until it succeeds: a killed node stays in the ROS graph for 20 s, and until
+        its successor has started, a request is lost."""
         done: list[Any] = []
 
         def is_done() -> list[Any]:
@@ -90,9 +90,9 @@ class Talker(NodeCalls):
 
 @contextlib.contextmanager
 def bench_nodes(logs: Path) -> Iterator[Talker]:
-    """A ROS context away from every other bench, for the time of a `with`."""
+    """A ROS context isolated from every other bench, for a `with` block."""
     private_ros_environment()
-    # Physics compile once, here: a node that finds it done is up in a second or two, else a minute.
+    # Compile the physics first: then a node starts in a second or two, otherwise in a minute.
     settings = {parameter.name: parameter.default for parameter in NODE_TABLES["simulator"]}
     list(VirtualBench(Parameters.defaults(), settings).advance((1.0,), 10**8))
     logs.mkdir(parents=True, exist_ok=True)
@@ -101,12 +101,12 @@ def bench_nodes(logs: Path) -> Iterator[Talker]:
 
 
 # --- Nodes killed and started again in every order: 0 V meanwhile, and the bench works afterwards.
-# s: the contract's command timeout, what a busy machine needs to notice, and what a killed recorder
-# may lose.
+# s: the contract's command timeout, the delay of a busy machine, and how much a killed recorder may
+# lose.
 _TIMEOUT, _SLACK, _TO_DISK = 0.5, 1.0, 1.5
 _VOLTS = 1.0
 _HOLD = f"name: hold\nsteps:\n- {{kind: hold, name: warm, level: {_VOLTS}, duration: 600.0}}\n"
-# Every order of killing with every order of starting again.
+# Every order of killing, combined with every order of restarting.
 ORDERS = list(product(permutations(NODES), repeat=2))
 
 
@@ -118,7 +118,7 @@ def restarted_nodes(size: int, seed: int, folder: Path) -> list[Outcome]:
         try:
             with bench_nodes(folder / f"{k}" / "logs") as talker:
                 wrong.append(_restart(talker, end, begin, folder / f"{k}"))
-        except Exception as error:  # that is what is looked for
+        except Exception as error:  # any exception is a finding
             wrong.append(f"killed {end}, started {begin}: {type(error).__name__}: {error}")
     limit = "0 V while driven by nobody, works again, both bags read"
     return [counted(what, size, wrong, limit)]
@@ -141,7 +141,7 @@ def _restart(talker: Talker, end: tuple[str, ...], begin: tuple[str, ...], folde
         talker.until("readings", lambda: powers)
         talker.until("recorded", lambda: recorders and "wire/power" in recorders[-1].data)
         talker.until_served("experiment")
-        # Readings reach each node in its own time.
+        # Readings reach each node after a different time.
         talker.until_done("a start", lambda: talker.trigger("experiment/start", PATIENCE))
         talker.until("driven", lambda: powers[-1].voltage > 0.5 * _VOLTS)
         talker.listen(_TO_DISK)
@@ -159,7 +159,7 @@ def _restart(talker: Talker, end: tuple[str, ...], begin: tuple[str, ...], folde
     recorders.clear()
     for name in begin:
         start(name)
-    talker.listen(0.5)  # what the killed one sent
+    talker.listen(0.5)  # messages that the killed node sent
     powers.clear()
     talker.until("readings again", lambda: len(powers) > 5)
     if max(power.voltage for power in powers) > 0.1 * _VOLTS:
@@ -173,8 +173,8 @@ def _restart(talker: Talker, end: tuple[str, ...], begin: tuple[str, ...], folde
     return ""
 
 
-# --- Other types and broken bytes on the bench's topics: every node goes on.
-# A node, and the topics that it listens to with their own type.
+# --- Other types and broken bytes on the bench's topics: every node must go on.
+# A node, and its subscribed topics with their types.
 LISTENERS: dict[str, dict[str, type]] = {
     "simulator": {"voltage_command": Float64MultiArray},
     "experiment": {"wire/power": BatteryState, "wire/temperature": Temperature},
@@ -184,13 +184,13 @@ LISTENERS: dict[str, dict[str, type]] = {
 _CAMERA = {"image_width": 64, "image_height": 48, "regions": list(regions_side_by_side(1, 64, 48))}
 _FOREIGN = (String, Float64, Image, Temperature)
 _HEADS, _LENGTHS = (b"\0\1\0\0", b"\0\1\0\0", b"\xff\1", b""), (0, 1, 7, 40, 300)
-_AT_ONCE = 20  # messages
+_AT_ONCE = 20  # messages before the next spin
 
 
 def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
-    """`size` messages of other types and as many of broken bytes on every topic."""
+    """`size` messages of other types, and as many with broken bytes, on every topic."""
     rng, outcomes = random.Random(seed), []
-    # DDS lets no program have two types on a topic: those of other types are a stranger's.
+    # DDS allows a program only one type per topic: another context sends the other types.
     with (bench_nodes(folder / "logs") as talker,
           ros_node("stranger", NAMESPACE, context=rclpy.Context()) as stranger):
         for node, topics in LISTENERS.items():
@@ -198,7 +198,7 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
             found, met = "alive, parameters answered", True
             try:
                 for topic, kind in topics.items():
-                    # Of another type, and of the right one a CDR header, or not that, and bytes.
+                    # Another type; and random bytes as the right type, with or without CDR header.
                     own = talker.node.create_publisher(kind, topic, RELIABLE)
                     foreign = rng.choice([other for other in _FOREIGN if other is not kind])
                     other = stranger.create_publisher(foreign, topic, RELIABLE)
@@ -213,7 +213,7 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
                 talker.listen(0.5)
                 talker.nodes.check()
                 talker.until_served(node)
-            except Exception as error:  # that is what is looked for
+            except Exception as error:  # any exception is a finding
                 found, met = f"{type(error).__name__}: {error}", False
             talker.kill(node)
             what, tried = f"foreign types and broken bytes at {node}", 2 * size * len(topics)
@@ -221,16 +221,16 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
     return outcomes
 
 
-# --- Hours of a bench in virtual time: memory stays flat, as a slope in MB an hour of the bench.
-# Simulator, experiment and recorder in step with one another and faster than life, the recorder
-# writing all that is published. What grows with the computer's time shows less here than in life.
+# --- Hours of a bench in virtual time: memory must not grow, measured in MB per hour of the bench.
+# Simulator, experiment and recorder run in lockstep, faster than real time; the recorder writes
+# everything. Growth that depends on wall time shows less here than in reality.
 #
-# MB/h: a day adds 0.2 GB and a week 1.3 GB, which a small computer of 2 GB bears beside the bench.
-# The index of a bag, which has to grow, takes 5 to 7 of it.
+# MB/h: a day adds 0.2 GB and a week 1.3 GB, which fits beside the bench in a computer of 2 GB.
+# The index of a bag, which must grow, takes 5 to 7 of it.
 LIMIT = 8.0
-_SPEED, _LOOK_EVERY = 1000.0, 0.5  # times life; s
-_SHORTEST = 60  # minutes: half of it to warm up, and as much to see a slope
-_WARM_UP = 0.5  # h: middleware and allocator keep what a busy moment took
+_SPEED, _LOOK_EVERY = 1000.0, 0.5  # times real time; s
+_SHORTEST = 60  # minutes: half of it to warm up, and half to measure the slope
+_WARM_UP = 0.5  # h: middleware and allocator keep the memory of a peak
 _TRIANGLES = """{name: soak, repeat: 5000, steps: [
   {kind: triangle, name: heat, peak: 6.0, rise: 20.0, fall: 20.0}, {kind: rest, duration: 20.0}]}
 """
@@ -242,7 +242,7 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
     protocol.write_text(_TRIANGLES)
     seconds, hours = 60.0 * max(size, _SHORTEST), []
     held: dict[str, list[float]] = {node: [] for node in NODES}
-    clock: deque[float] = deque([0.0], maxlen=1)  # the newest; /clock ticks with every command
+    clock: deque[float] = deque([0.0], maxlen=1)  # the latest; /clock is sent with every command
     settings = ({"speed": _SPEED}, {"protocol": str(protocol), "use_sim_time": True},
                 {"output": str(folder / "bag"), "use_sim_time": True})  # fmt: skip
     with bench_nodes(folder / "logs") as talker:
@@ -261,7 +261,7 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
             talker.nodes.check()
             hours.append((clock[-1] - begin) / 3600.0)
             for node in NODES:
-                # What it cannot give back: pages of files are dropped and read again at will.
+                # Private memory only: the system can drop pages of files and read them again.
                 status = Path(f"/proc/{talker.nodes.pid(node)}/status").read_text()
                 kilobytes = re.findall(r"(?:RssAnon|RssShmem):\s*(\d+)", status)
                 held[node].append(sum(map(int, kilobytes)) * 1.024e-3)
@@ -277,7 +277,7 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
 
 
 def growth(hours: np.ndarray, megabytes: np.ndarray) -> float:
-    """MB an hour after the warm-up, from its first to its last third: memory is a staircase."""
+    """MB per hour after the warm-up, from its first to its last third, as memory grows in steps."""
     warm = min(_WARM_UP, 0.5 * hours[-1])
     early = (hours >= warm) & (hours < warm + (hours[-1] - warm) / 3.0)
     late = hours > hours[-1] - (hours[-1] - warm) / 3.0

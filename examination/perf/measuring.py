@@ -1,7 +1,7 @@
-"""Figures with their limits, calls timed side by side.
+"""Figures with their limits; timing of calls in alternation.
 
-What runs in this thread alone is timed by the processor's time it took, which other programs on the
-machine hardly touch; what runs on several threads or processes by the clock on the wall.
+Work in this thread alone is timed by its CPU time, which other programs hardly affect; work in
+several threads or processes by wall time.
 """
 
 import gc
@@ -19,7 +19,7 @@ CONFIG = ROOT / "config"
 
 
 class Figure(NamedTuple):
-    """One number: of which case, what was measured, and what it is to be at least or at most."""
+    """One number: the case, what was measured, and its lower or upper limit."""
 
     case: str
     measure: str
@@ -41,13 +41,13 @@ class Figure(NamedTuple):
 
 def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int,
                 budget: float = np.inf) -> dict[str, Array]:
-    """Seconds of every call, (r,) each: `rounds` rounds, fewer (two at least) beyond `budget` s. A
-    first round is not counted: it compiles, fills caches, touches memory."""
+    """Seconds of every call, (r,) each, in `rounds` rounds; fewer (at least two) beyond `budget` s.
+    An extra first round is not counted: it compiles and fills caches."""
     for call in calls.values():
         call()
     seconds: dict[str, list[float]] = {name: [] for name in calls}
     begin = time.perf_counter()
-    gc.freeze()  # what was there before is no garbage, and takes longer to look through than a call
+    gc.freeze()  # collecting the existing objects would take longer than a call
     try:
         for k in range(rounds):
             if k >= 2 and time.perf_counter() - begin > budget:
@@ -63,5 +63,5 @@ def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int,
 
 
 def ratio(slower: Array, faster: Array) -> float:
-    """Median of the rounds' own ratios: what slowed a whole round down drops out."""
+    """Median of the ratios of the rounds: a disturbance that slows a whole round cancels."""
     return float(np.median(slower / faster))

@@ -1,4 +1,4 @@
-"""The simulated bench as a node: rate held, latency, share of a core."""
+"""The simulated bench as a node: achieved rate, latency, share of a core."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ RIG = CONFIG / "wire_rig.yaml"
 NAMESPACE = "/perf"
 PATIENCE, COMMAND_PERIOD = 120.0, 0.05  # s
 RATES = (100.0, 500.0, 1000.0)  # Hz
-# What any two nodes of rclpy take: one publishes what it has heard.
+# The minimum of any two rclpy nodes, for comparison: one publishes what it receives.
 BARE = """
 import rclpy, sys
 from sma_bench.lifeline import end_with_parent
@@ -43,7 +43,7 @@ rclpy.spin(node)
 
 
 class _Asked:
-    """One that is sent a voltage and answers with readings; `latencies` in s."""
+    """A node that answers a voltage with readings; `latencies` in s."""
 
     def __init__(self, node: Any, command: str, reading: str) -> None:
         self.latencies: list[float] = []
@@ -57,7 +57,7 @@ class _Asked:
             self._waiting = False
 
     def ask(self) -> None:
-        """Send another voltage, at most every COMMAND_PERIOD, once the last one was seen."""
+        """Send the next voltage once the last was answered, at most every COMMAND_PERIOD."""
         if time.monotonic() - self._sent > (1.0 if self._waiting else COMMAND_PERIOD):
             self._volts = 1.0 if self._volts > 1.5 else 2.0
             self._sent, self._waiting = time.monotonic(), True
@@ -65,7 +65,7 @@ class _Asked:
 
 
 def nodes(tiny: bool = False) -> Iterator[Figure]:
-    """Alternating voltages, and when readings arrive and show them; beside a bare pair of nodes."""
+    """Time from alternating voltages to readings that show them; also for a bare pair of nodes."""
     for rate in RATES[:1] if tiny else RATES:
         private_ros_environment()
         with (ros_node("perf", NAMESPACE) as node, TemporaryDirectory() as folder,
@@ -84,7 +84,7 @@ def _simulator(node: Any, processes: NodeProcesses, rate: float,
                              lambda message: late.append(time.time() - seconds_of(message)), 1000)
 
     def spin(until: Callable[[], bool]) -> None:
-        """Ask and listen until the condition holds; RuntimeError if it does not in time."""
+        """Send and receive until the condition holds. RuntimeError: timeout."""
         end = time.monotonic() + PATIENCE
         while not until():
             if time.monotonic() > end:

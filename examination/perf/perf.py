@@ -1,4 +1,4 @@
-"""How fast the package is, beside what one would pick instead: `./bench perf [SECTION ...]`."""
+"""Speed of the package, compared with alternatives: `./bench perf [SECTION ...]`."""
 
 import argparse
 import json
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from examination.pieces import print_table
 
-# What yields the figures of each section, by module, and what is measured.
+# Function that yields the figures of each section, by module, and a description.
 SECTIONS = {
     "simulation": ("solvers", "stiff solvers at equal error"),
     "reading": ("work", "bags: rosbags, mcap-ros2-support"),
@@ -36,7 +36,7 @@ def main(argv: list[str]) -> int:
         try:
             module = import_module(f"examination.perf.{SECTIONS[name][0]}")
             figures.extend(getattr(module, name)(arguments.tiny))
-        except (ImportError, RuntimeError, OSError) as error:  # the others go on
+        except (ImportError, RuntimeError, OSError) as error:  # continue with the others
             missing = f"not measured: {type(error).__name__}: {error}\n"
         rows = [(f.case, f.measure, f"{f.value:.3g}", f.unit, f.aim, f.verdict) for f in figures]
         print(f"{name} ({time.monotonic() - begin:.0f} s)")

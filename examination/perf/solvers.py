@@ -1,9 +1,9 @@
-"""The simulation beside stiff solvers at equal error: what one would pick otherwise.
+"""The simulation compared with stiff solvers, the usual alternative, at equal error.
 
 LSODA of scipy and CVODE of scikit-sundae integrate T and xi of all wires, with d xi/dt from
-implicit differentiation of xi = X(T, sigma) and sigma(T, xi). They have every chance: the right
-side is compiled by numba, a held voltage is one segment however many samples lie in it, and a
-restart happens only where a voltage changes.
+implicit differentiation of xi = X(T, sigma) and sigma(T, xi). The comparison is fair: the right
+side is compiled by numba, a constant voltage is one segment whatever its number of samples, and
+the solvers restart only when a voltage changes.
 """
 
 import math
@@ -28,16 +28,16 @@ NUMBERS += ["environment.ambient_temperature", *(f"wire.{name}" for name in (
     "mass", "specific_heat", "heat_transfer_coefficient", "surface_area", "resistance"))]
 NUMBERS += [f"{_OF_PHASE}.austenite_change", f"{_OF_PHASE}.temperature_coefficient"]
 NUMBERS += ["effect.temperature_dependent_convection.rise", "effect.latent_heat.heat"]
-LEAST = 0.05  # of resistance and loss that a slope in temperature leaves, as the contract has it
+LEAST = 0.05  # least factor of resistance and loss by their temperature slopes, as in the contract
 _MOST_STEPS = 100_000
 
 
 @numba.njit(cache=True, error_model="numpy")
 def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness, loads):
-    """Write d(T, xi)/dt (2 w,) at held voltages (w,), and each wire's heating [K/s], f, g (3, w).
-    `turned` (2, w) is 1 or -1 for a wire that heats or cools, and what its last reversal makes of f
-    or g; `sides` (w,) the side of each wire, `stiffness` that of each side, infinite in clamps;
-    `loads` (w,) what each wire bears at rest [Pa], from where strains count."""
+    """Write d(T, xi)/dt (2 w,) at fixed voltages (w,), and each wire's heating [K/s], f, g (3, w).
+    `turned` (2, w): 1 or -1 for a wire that heats or cools, and the factor of f or g from its last
+    reversal; `sides` (w,): side of each wire; `stiffness`: of each side, infinite between clamps;
+    `loads` (w,): stress of each wire at rest [Pa], where strains are 0."""
     n, w = numbers, sides.size
     modulus, own, matrix, slopes = np.empty(w), np.empty(w), np.eye(w), np.empty((2, w))
     pull, total = np.zeros(w), stiffness.copy()
@@ -52,7 +52,7 @@ def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness, loads):
         stretch = n[8] * (1.0 - xi) + loads[i] / n[7] - pull[sides[i]] / total[sides[i]]
         own[i] = change * stretch - n[8] * modulus[i]
         sigma = modulus[i] * stretch + n[9] * excess
-        # The transformation's two branches; the slope in T and in sigma of the one that holds.
+        # The two branches of the transformation; slopes in T and in sigma of the active one.
         x = math.pi * min(max((n[1] - y[i] + sigma / n[4]) / austenite, 0.0), 1.0)
         z = math.pi * min(max((y[i] - sigma / n[5] - n[3]) / martensite, 0.0), 1.0)
         of_wires[1, i], of_wires[2, i] = 0.5 - 0.5 * math.cos(x), 0.5 - 0.5 * math.cos(z)
@@ -60,7 +60,7 @@ def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness, loads):
         slope = -math.sin(x) / austenite if heats else math.sin(z) / martensite
         slopes[0, i] = 0.5 * math.pi * turned[1, i] * slope
         slopes[1, i] = -slopes[0, i] / (n[4] if heats else n[5])
-        # Heat, without what the phase takes up.
+        # Heating, without latent heat.
         ohm = n[15] * (1.0 + n[16] * (1.0 - xi)) * max(1.0 + n[17] * excess, LEAST)
         loss = n[13] * n[14] * max(1.0 + n[18] * excess, LEAST)
         of_wires[0, i] = (volts[i] ** 2 / ohm - loss * excess) / (n[11] * n[12])
@@ -85,7 +85,7 @@ def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness, loads):
 
 
 class Problem(NamedTuple):
-    """The numbers of a bench as the right side takes them."""
+    """The parameters of a bench as arguments of the right side."""
 
     numbers: Array
     sides: Array
@@ -113,7 +113,7 @@ class Problem(NamedTuple):
             y, volts = states[start].copy(), voltage[start]
             rate(y, np.empty(2 * w), of_wires, volts, turned, *self)
             heating, f, g = of_wires
-            # A wire that turns round goes on from its own fraction, as the contract says.
+            # After a reversal, a wire continues from its own fraction, as in the contract.
             for i in np.flatnonzero(heating * turned[0] < 0.0):
                 branch, left = (g[i], y[w + i] - 1.0) if turned[0, i] > 0.0 else (f[i], y[w + i])
                 turned[:, i] = -turned[0, i], left / branch if branch > 0.0 else 0.0
@@ -145,7 +145,7 @@ def lsoda(rtol: float, right_side: Callable[..., None] = rate) -> Solver:
 
 def cvode(rtol: float) -> Solver:
     """CVODE (BDF) of SUNDIALS, right side compiled."""
-    from sksundae.cvode import CVODE  # what one tests with alone need not be there
+    from sksundae.cvode import CVODE  # only installed for ./bench perf and tests
 
     def solve(time: Array, y: Array, given: tuple) -> Array:
         def fun(_: float, state: Array, dy: Array) -> None:
@@ -155,18 +155,18 @@ def cvode(rtol: float) -> Solver:
         solution = solver.solve(time, y)
         if not solution.success:
             raise RuntimeError(str(solution.message))
-        # Of two times it makes a span, and gives its own steps within.
+        # It takes two times as a span, and returns its own steps within.
         return solution.y[1:] if time.size > 2 else solution.y[-1:]
 
     return solve
 
 
 def _tolerances(rtol: float, y: Array) -> dict:
-    """Of T [K] and xi, about a hundredth of what rtol allows where they are large."""
+    """Absolute tolerances of T [K] and xi: about a hundredth of rtol at their usual size."""
     return {"rtol": rtol, "atol": np.repeat([rtol, 0.01 * rtol], y.size // 2)}
 
 
-# --- The cases, and both held against a solver whose error is far smaller.
+# --- The cases; errors are measured against a solver with far smaller error.
 COMPOSITE = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
              "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 EFFECTS = {"effect.latent_heat.heat": 12e3, "effect.temperature_dependent_convection.rise": 2e-3}
@@ -175,22 +175,22 @@ STEP = 0.01  # s, the bench's 100 Hz
 HOLD = 200  # samples: voltages of the drive change every 2 s
 REFERENCE = 1e-12
 LADDER = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
-# A solver need not be better than this where the simulation is: a millionth of the range.
+# A solver need not be more accurate than this, even if the simulation is: a millionth of the range.
 ENOUGH = 1e-6
 RIVALS: dict[str, Callable[[float], Solver]] = {"scipy LSODA": lsoda, "scikit-sundae CVODE": cvode}
 
 
 def drive(n: int, wires: int) -> tuple[Array, Array]:
     """Time [s] and voltages [V] at random levels, each held for HOLD samples. The wires of a side
-    are driven alike, as in the paper: where the stress of one moves the range of another, the
-    solvers' differential form lacks the contract's rule for that."""
+    are driven alike, as in the paper: the solvers' differential form lacks the contract's rule for
+    a wire whose transformation range is shifted by the stress of another."""
     levels = np.random.default_rng(0).uniform(0.0, 6.5, (n // HOLD + 1, min(wires, 2)))
     sides = np.repeat(levels, max(wires // 2, 1), axis=1)
     return np.arange(n) * STEP, np.repeat(sides, HOLD, axis=0)[:n]
 
 
 def simulation(tiny: bool = False) -> Iterator[Figure]:
-    """One clamped wire, and four that bend a composite and feel each other's stress."""
+    """One clamped wire, and four that bend a composite and share its stress."""
     wire = Parameters.defaults()
     bare = {"one wire": wire, "four wires": wire.replace(COMPOSITE)}
     benches = bare | {f"{name}, effects on": p.replace(EFFECTS) for name, p in bare.items()}

@@ -1,7 +1,7 @@
-"""Whole work: bags read, commands warm and with nothing compiled, records of minutes to hours.
+"""Speed of whole tasks: reading bags, commands with and without compiled code, long records.
 
-A command has the time on the wall and the processor's; the limits are held against the second,
-which is the first on a machine that does nothing else.
+For a command, wall time and CPU time are measured; limits apply to CPU time, which equals wall time
+on an idle machine.
 """
 
 import os
@@ -29,22 +29,22 @@ from sma_bench.synthetic.bench_records import protocol_record
 
 COMPOSITE = CONFIG / "composite_rig.yaml"
 RATE = 100.0  # Hz
-LINEAR = 1.15  # exponent: what may be called linear growth
-COMPILING = 22.0  # s, what it took before the diagnosis was made faster
+LINEAR = 1.15  # largest exponent that counts as linear growth
+COMPILING = 22.0  # s, as measured before the diagnosis was made faster
 TRIANGLES, STEPS = "composite_diagnosis_triangles", "composite_diagnosis_steps"
 HIDDEN = {"effect.side_heat_coupling.conductance": 0.03}
 LENGTHS = {"2 minutes": 120.0, "10 minutes": 600.0, "an hour": 3600.0}
 LONG = {"10 minutes of triangles": 600.0, "an hour of triangles": 3600.0,
         "8 hours of triangles": 28_800.0}
-# Development cases of all forms, loads as the frozen set has them.
+# Development cases of all forms, with the loads of the frozen set.
 SEED, DEALT = 3900, {"beam": 12, "antagonist": 5, "force": 4, "spring": 3}
-DURATION, EACH_SECOND = 600.0, 200  # s; messages of power and temperature
-# 1 to 5.5 V and back, then 0.
+DURATION, EACH_SECOND = 600.0, 200  # s; messages per second, of power and temperature
+# V: 1 to 5.5 and back, then 0.
 _LEVELS = np.array([1.0, 1.9, 2.8, 3.7, 4.6, 5.5, 5.5, 4.6, 3.7, 2.8, 1.9, 1.0, 0.0])
 
 
 def staircase_bag(bag: Path, duration: float) -> Path:
-    """A wire led up and down a staircase of voltages, 5 s each."""
+    """A bag of a wire on a staircase of voltages up and down, 5 s each."""
     time = np.arange(int(duration * RATE)) / RATE
     voltage = _LEVELS[(time / 5.0).astype(int) % _LEVELS.size]
     record = sma_bench.measure(sma_bench.simulate((time, voltage), Parameters.defaults()))
@@ -53,7 +53,7 @@ def staircase_bag(bag: Path, duration: float) -> Path:
 
 
 def reading(tiny: bool = False) -> Iterator[Figure]:
-    """A bag, against what one would pick instead, message by message."""
+    """Reading a bag, compared with the usual alternative, message by message."""
     from mcap_ros2.reader import read_ros2_messages
     from rosbags.rosbag2 import Reader
 
@@ -102,7 +102,7 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
             wall, warm = np.median([run(command) for _ in range(1 if tiny else 4)][-3:], axis=0)
             yield Figure(case, "warm: processor", warm, "s", most=most)
             yield Figure(case, "warm: on the wall", wall, "s")
-        if not tiny:  # from a copy of the package in which nothing has been compiled yet
+        if not tiny:  # in a copy of the package without any compiled code
             copy, ignored = folder / "cold", shutil.ignore_patterns("__pycache__")
             shutil.copytree(ROOT / "sma_bench", copy / "sma_bench", ignore=ignored)
             for shared in ("package.xml", "config"):
@@ -113,7 +113,7 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
 
 
 def run(words: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[float, float]:
-    """s on the wall and of the processor for `sma-bench words`; raises RuntimeError if it fails."""
+    """Wall and CPU time [s] of `sma-bench words`. RuntimeError: it failed."""
     command, variables = [sys.executable, "-P", "-m", "sma_bench.cli", *words], dict(os.environ)
     variables |= environment or {}
     begin, before = time.perf_counter(), os.times()
@@ -124,7 +124,7 @@ def run(words: Sequence[str], environment: Mapping[str, str] | None = None) -> t
 
 
 def diagnosis(tiny: bool = False) -> Iterator[Figure]:
-    """Of cases of the examination's development split, and of synthetic records in memory."""
+    """Diagnoses of development cases of the examination, and of synthetic records in memory."""
     if tiny:
         yield from over_lengths("diagnosis", {"a minute of triangles": 60.0}, TRIANGLES)
         return
@@ -148,7 +148,7 @@ def identification(tiny: bool = False) -> Iterator[Figure]:
 
 
 def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iterator[Figure]:
-    """Each length (s) in a process of its own, whose memory is then its own."""
+    """Each length (s) in a process of its own, to measure its memory."""
     found = {}
     for name, length in lengths.items():
         command = [sys.executable, __file__, work, protocol, str(length)]
@@ -168,7 +168,7 @@ def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iter
 
 
 def one_length(work: str, protocol: str, length: float) -> None:
-    """Print s on the wall and of the processor, and MB, of a protocol again and again."""
+    """Print wall and CPU time [s] and memory [MB] for a protocol repeated to this length."""
     lab = read_parameters(COMPOSITE)
     once = load_protocol(protocol, lab).sample(1.0 / RATE)[1]
     clock = np.arange(int(length * RATE)) / RATE

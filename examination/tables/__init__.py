@@ -1,1 +1,1 @@
-"""Other people's tables: true ones, written in many dialects, imported, and judged."""
+"""Tables of other loggers: true tables, written in many dialects, imported and judged."""

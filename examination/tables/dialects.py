@@ -1,7 +1,7 @@
-"""How people's loggers and machines write one table: drawn habits, and the file they give.
+"""Writes a table as the loggers and machines of various labs do, with randomly drawn habits.
 
-A habit is one value of one feature (`HABITS`); a dialect is a habit of each. It knows whether its
-file tells what it means: units, the meaning of every column, and a clock."""
+A habit is one value of a feature (`HABITS`); a dialect is one habit of each feature. A sample knows
+whether its file is complete: units, the meaning of every column, and a clock."""
 
 import datetime as dt
 import re
@@ -21,7 +21,7 @@ from sma_bench.arrays import Array
 TABLES = 40  # bench runs, DSC, isobaric and tensile tests: synthetic data, in SI units
 _DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
 RIGS, HABITS = _DATA["rigs"], _DATA["habits"]
-PLAIN, KNOWN = 0.93, 0.7  # chance of a feature's first habit; of a start from what a user sent
+PLAIN, KNOWN = 0.93, 0.7  # probability of a feature's first habit; of starting from a user's file
 START = dt.datetime(2024, 3, 14, 9, 58, 30)
 EPOCH = START.replace(tzinfo=dt.UTC).timestamp()
 _UNITS: dict[str, list[tuple[str, float, float, int]]] = _DATA["units"]
@@ -31,22 +31,22 @@ _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "driven is positive": lambda amperes: amperes,
     "battery's sign": lambda amperes: -amperes,
     "mean of a switched supply": lambda amperes: amperes**2 / max(amperes.max(), 1e-9)}
-_LATE, _SHIFT = 0.013, 12.0  # s, of a sparse last column; between two clocks of a table
+_LATE, _SHIFT = 0.013, 12.0  # s: delay of a sparse last column; offset between two clocks
 
-# A true column: `signal` of the contract (or of the instrument's record), what it is, its values
-# (n,) in SI, how the file writes it (`offset` added, `sign` before).
+# A true column: `signal` of the contract (or of the instrument's record), its kind, its values (n,)
+# in SI, and how the file writes it (`offset` added, `sign`).
 Quantity = namedtuple("Quantity", "signal kind values offset sign", defaults=(0.0, 1.0))
-# A column as the file has it: its title, the truth behind it (None: nothing to read), SI in one
-# unit of its last decimal.
+# A column in the file: its title, its true column (None: nothing to read), the size of its last
+# decimal in SI.
 Written = namedtuple("Written", "title quantity step")
-# One file: where, the habits that made it, its columns, the true times of each signal, the finest
-# step of its clock in s, and whether it tells what it means.
+# One file: path, habits, columns, true times of each signal, resolution of its clock in s, and
+# whether it states all units, meanings and a clock.
 Sample = namedtuple("Sample", "path habits columns times tick tells")
 
 
 @dataclass(frozen=True)
 class Truth:
-    """A true table: `time` (n,) s, its columns, and of DSC the mass in kg."""
+    """A true table: `time` (n,) s, its columns, and for DSC the mass in kg."""
 
     kind: str
     time: Array
@@ -55,7 +55,7 @@ class Truth:
 
     @property
     def is_bench(self) -> bool:
-        """Whether the file is imported; else it is an instrument's, and read as it is."""
+        """True if the file is imported; otherwise it is an instrument file, read directly."""
         return self.kind in RIGS
 
 
@@ -70,7 +70,7 @@ def true_table(number: int, seed: int) -> Truth:
 
 
 def _bench(kind: str, rng: np.random.Generator) -> Truth:
-    """A wire that is heated in two or three steps and cools between them."""
+    """A wire that is heated in two or three steps, with cooling in between."""
     rows, rate = int(rng.integers(90, 260)), float(rng.choice([4.0, 5.0, 10.0, 20.0]))
     row, drive = np.arange(rows), np.zeros(rows)
     time, steps, level = row / rate, int(rng.integers(2, 4)), rng.uniform(1.0, 4.0)
@@ -107,7 +107,7 @@ def _bench(kind: str, rng: np.random.Generator) -> Truth:
 
 
 def _dsc(kind: str, rng: np.random.Generator) -> Truth:
-    """Heating and cooling at one rate, a peak each way."""
+    """Heating and cooling at the same rate, with one peak each."""
     rows, rate = int(rng.integers(200, 320)), 10.0 / 60.0
     turn, row, step = int(rows * 0.5), np.arange(rows), rng.choice([1.0, 2.0])
     temperature = 253.15 + rate * step * np.minimum(row, 2 * turn - row)
@@ -122,7 +122,7 @@ def _dsc(kind: str, rng: np.random.Generator) -> Truth:
 
 
 def _isobaric(kind: str, rng: np.random.Generator) -> Truth:
-    """A cycle of temperature at one stress."""
+    """A temperature cycle at one stress."""
     rows = int(rng.integers(160, 300))
     row, phase = np.arange(rows), np.abs(1.0 - np.abs(np.linspace(-1.0, 1.0, rows)))
     low, high = rng.uniform(290.0, 300.0), rng.uniform(380.0, 400.0)
@@ -135,7 +135,7 @@ def _isobaric(kind: str, rng: np.random.Generator) -> Truth:
 
 
 def _tensile(rng: np.random.Generator, is_extension: bool) -> Truth:
-    """Loading and unloading; half of them as extension and force."""
+    """Loading and unloading, as stress and strain or as force and extension."""
     rows = int(rng.integers(120, 260))
     strain = 0.012 * np.minimum(np.linspace(0.0, 1.6, rows), np.linspace(1.6, 0.0, rows) + 0.4)
     stress = rng.uniform(30e9, 60e9) * np.minimum(strain, 0.008 + 0.2 * (strain - 0.008))
@@ -147,7 +147,7 @@ def _tensile(rng: np.random.Generator, is_extension: bool) -> Truth:
 
 
 def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
-    """A habit of each feature; what cannot be together is made plain."""
+    """A habit of each feature, without excluded combinations."""
     habits = {feature: known[0] if rng.random() < PLAIN else str(rng.choice(known[1:]))
               for feature, known in HABITS.items()}
     seen = _DATA["bench_seen" if truth.is_bench else "machine_seen"]
@@ -158,7 +158,7 @@ def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
 
 
 def _about(truth: Truth, habits: dict[str, str]) -> dict[str, Any]:
-    """What the rules of dialects.yaml speak of."""
+    """Properties that the rules of dialects.yaml refer to."""
     kinds = {column.kind for column in truth.columns}
     return {**habits, "kind": truth.kind, "is_bench": truth.is_bench,
             "has_current": "current" in kinds, "is_extension": "extension" in kinds}
@@ -171,9 +171,9 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     both = np.concatenate([truth.time, late])
     order = np.argsort(both, kind="stable")
     is_late, rows = order >= len(truth.time), len(order)
-    row_of = np.where(is_late, 3 * (order - len(truth.time)), order)  # of the truth
+    row_of = np.where(is_late, 3 * (order - len(truth.time)), order)  # row of the true table
     clock = _clock(both[order], habits, language)
-    # Each with its unit, cells, decimals.
+    # Columns with unit, cells and decimals.
     parts = [(Written(title, None, 0.0), *rest) for title, *rest in clock]
     for quantity in truth.columns:
         kind, scale = quantity.kind, HABITS["scale"].index(habits["scale"]) % 4
@@ -202,7 +202,7 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     if habits["beside"] in beside:
         title, unit, values = beside[habits["beside"]]
         parts.append((Written(title, None, 0.0), unit, values, 2))
-    # Cells that are not there, and rows of the last column alone.
+    # Missing cells, and rows with the last column only.
     columns, units, cells, decimals = zip(*parts, strict=True)
     grid, width = [list(row) for row in zip(*cells, strict=True)], len(columns)
     for row in range(5, rows - 1) if habits["cells"] == "gaps" else ():
@@ -212,7 +212,7 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     for k, row in enumerate(grid if is_sparse else ()):
         empty = {*range(len(clock), width)} - {last} if is_late[k] else {last}
         grid[k] = ["" if c in empty else v for c, v in enumerate(row)]
-    # Titles, units and numbers as texts.
+    # Titles, units and numbers as text.
     texts = [[_text(*cell, habits) for cell in zip(row, decimals, units, strict=True)]
              for row in grid]
     titles, head = _titles([column.title for column in columns], units, habits)
@@ -241,7 +241,7 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
 
 def _clock(time: Array, habits: dict[str, str],
            language: int) -> list[tuple[str, str, list[Any], int]]:
-    """Columns of the clock: title, unit, cells, decimals."""
+    """Time columns: title, unit, cells, decimals."""
     title, how, day = _DATA["words"]["time"][language], habits["time"], _DATA["dates"][language]
     unit = {"days": "d", "a clock each": "s"}.get(how, how.removesuffix(", no unit"))
     if unit in _NUMBERED:
@@ -257,7 +257,7 @@ def _clock(time: Array, habits: dict[str, str],
     stamps = [START + dt.timedelta(seconds=float(t)) for t in time]
 
     def written(form: str, title: str = title) -> tuple[str, str, list[Any], int]:
-        """Moments in a form, whose %f stands for milliseconds."""
+        """Times of day in a format, in which %f stands for milliseconds."""
         forms = (form.replace("%f", f"{s.microsecond // 1000:03d}") for s in stamps)
         return title, "", [s.strftime(f) for s, f in zip(stamps, forms, strict=True)], 0
 
@@ -338,7 +338,7 @@ def _write_file(truth: Truth, habits: dict[str, str], titles: list[str], head: l
 
 def _write_arrays(form: str, titles: list[str], head: list[list[str]], grid: list[list[Any]],
                   folder: Path) -> Path:
-    """Named arrays with their units beside or within their names, a matrix or a compound table."""
+    """Write named arrays with units beside or in their names, a matrix, or a compound table."""
     values, units = np.array(grid, dtype=float), head[0] if head else [""] * len(titles)
     path = folder / f"run.{form[:3].strip(',')}"
     if form.startswith("mat"):
