@@ -1,4 +1,4 @@
-"""A page in a real browser: what it complains of, what sticks out, what cannot be read."""
+"""A page in a real browser: errors on its console, elements too wide, texts too faint."""
 
 import time
 from contextlib import contextmanager
@@ -22,30 +22,30 @@ _FAINT = Path(__file__).with_name("faint_texts.js").read_text()
 
 @dataclass
 class Opened:
-    """A page, and what its console said in red."""
+    """A page, and the errors on its console."""
 
     page: Any
     complaints: list[str] = field(default_factory=list)
 
     def until(self, condition, patience=PATIENCE):
-        """Wait for a condition in JavaScript; the page may forbid a browser's own way to."""
+        """Wait for a JavaScript condition by polling; a page's policy may forbid other ways."""
         end = time.monotonic() + patience
         while not self.page.evaluate(condition):
             assert time.monotonic() < end, f"not within {patience} s: {condition}"
             self.page.wait_for_timeout(50)
 
     def text(self, selector):
-        """Text of the first such element as it is shown."""
+        """Visible text of the first such element."""
         return self.page.evaluate(f"document.querySelector({selector!r}).innerText")
 
     @property
     def too_wide(self):
-        """What makes the page scroll sideways; a table may scroll in itself."""
+        """Elements that make the page scroll sideways; tables may scroll on their own."""
         return self.page.evaluate(_WIDER)
 
     @property
     def faint(self):
-        """Texts whose contrast to what is behind them is too small."""
+        """Texts with too little contrast to their background."""
         return self.page.evaluate(_FAINT, LEAST_CONTRAST)
 
 

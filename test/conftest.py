@@ -1,4 +1,4 @@
-"""What every test may ask for: shared data, a diagnosis, an Uno, a ROS domain of its own."""
+"""Fixtures for all tests: shared data, a diagnosis, an Uno, a ROS domain of its own."""
 
 import contextlib
 import fcntl
@@ -21,32 +21,31 @@ from sma_bench.ros.processes import USERS_VARIABLES, choose_discovery
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# Before anything imports rclpy. The field checks turn a silent 5e-324 into an exception.
+# Must be set before rclpy is imported: field checks turn a silent 5e-324 into an exception.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 for variable in USERS_VARIABLES:
     os.environ.pop(variable, None)
 choose_discovery()
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "sma_bench_test_log"))
 os.environ.setdefault("MPLBACKEND", "Agg")
-# pytest-xdist sets it, and tables would be as narrow.
+# pytest-xdist sets it; tables would be folded to this width.
 os.environ.pop("COLUMNS", None)
-# Before anything imports numpy, as the command line does: small matrices, idle threads.
+# Must be set before numpy is imported, as the command line does: one BLAS thread.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-# Tests end processes by the end of their terminal and by Ctrl-C, which nohup and a shell's `&`
-# would have every one ignore.
+# Tests end processes by SIGHUP and SIGINT; under nohup or a shell's `&` these would be ignored.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# A busy machine is no failure; what hangs is seen all the same.
+# A busy machine must not make tests fail; a hang is still detected.
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
 
 ORDER = yaml.safe_load((ROOT / "test" / "order.yaml").read_text())
 LONGEST, RERUN = ORDER["longest"], ORDER["rerun"]
 
-# Above 101 the ports of a domain overlap those that Linux hands out to anyone.
+# Above 101 the ports of a domain overlap Linux's ephemeral ports.
 DOMAINS = range(10, 102)
 LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
 
@@ -62,7 +61,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.skip(reason="minutes in real time: only with --acceptance"))
         if item.nodeid.partition("[")[0] in RERUN:
             item.add_marker(pytest.mark.flaky(reruns=2))
-    # Those in their order, lest one worker is left with them; then whatever has long tests.
+    # First the listed tests in their order, so that no worker is left with them; then long ones.
     long = {item.path for item in items if item.get_closest_marker("slow")}
     order = {ROOT / "test" / f"{name}.py": k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path, len(LONGEST) + (item.path not in long)))
@@ -74,20 +73,20 @@ def pytest_runtest_setup(item):
 
 
 def pytest_collection_finish():
-    """Modules and tests are no garbage: to look through them took a sixth of the time."""
+    """Exclude modules and tests from garbage collection, which took a sixth of the time."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    """Of `-n auto`: two more than there are processors, as tests of nodes mostly wait."""
+    """Workers for `-n auto`: two more than processors, as tests of nodes mostly wait."""
     return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_core_a_worker():
-    """Of several workers the two halves of a fit only wait for one another."""
+    """With several workers, one thread per fit: a second one would only wait for a core."""
     with pytest.MonkeyPatch.context() as patch:
         if "PYTEST_XDIST_WORKER" in os.environ:
             from sma_bench import compiled
@@ -98,7 +97,7 @@ def _one_core_a_worker():
 
 @pytest.fixture
 def both_cores(monkeypatch):
-    """A fit's two halves side by side, in the tests of a worker too."""
+    """Fits with two threads, also in a worker."""
     from sma_bench import compiled
 
     monkeypatch.setattr(compiled, "_THREADS", 2)
@@ -106,7 +105,7 @@ def both_cores(monkeypatch):
 
 @pytest.fixture
 def as_any_process(monkeypatch):
-    """Nodes that are made in the test's own process leave it scheduled as it was."""
+    """Nodes in the test's own process do not change its scheduling."""
     monkeypatch.setattr(os, "sched_setscheduler", lambda *given: None)
 
 
@@ -118,13 +117,13 @@ def _scheduled_as_before():
 
 @pytest.fixture(scope="session")
 def measured_data():
-    """Folder of other laboratories' measured numbers, reduced (its README.md names the sources)."""
+    """Folder of reduced measurements of other laboratories (sources in its README.md)."""
     return ROOT / "test" / "data"
 
 
 @pytest.fixture(scope="session")
 def shared_data():
-    """Folder of the records that lie beside the checkout."""
+    """Folder of records beside the checkout."""
     folder = ROOT.parent / "shared" / "data"
     if not folder.is_dir():
         pytest.skip(f"no records beside the checkout ({folder})")
@@ -133,7 +132,7 @@ def shared_data():
 
 @pytest.fixture(scope="session")
 def planted_diagnosis(tmp_path_factory):
-    """Diagnosis of a bench whose sides heat each other, all signals, one record held out."""
+    """Diagnosis of a bench whose sides heat each other: all signals, one hold-out record."""
     from planted import believed, few_effects, planted_pair
 
     from sma_bench import compiled
@@ -150,7 +149,7 @@ def planted_diagnosis(tmp_path_factory):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Figures are made and not drawn: the PNG, SVG and PDF of each take a second."""
+    """Figures are made but not rendered: PNG, SVG and PDF take a second each."""
     from sma_bench.report.page import Picture
 
     monkeypatch.setattr(Picture, "_file", lambda *_, **__: b"\x89PNG")
@@ -158,7 +157,7 @@ def undrawn(monkeypatch):
 
 @pytest.fixture(scope="session")
 def papers_experiments_once():
-    """The same synthetic experiments of the paper's own wire for every page of `paper`."""
+    """Every `paper` page uses the same synthetic experiments of the paper's wire."""
     from sma_bench.paper import lab
     from sma_bench.parameters import Parameters
 
@@ -177,7 +176,7 @@ def papers_experiments_once():
 
 @pytest.fixture(scope="session")
 def firmware_image(tmp_path_factory):
-    """The image that is flashed into the Uno."""
+    """The firmware image of the Uno."""
     from uno.emulated_uno import build_firmware
 
     if shutil.which("avr-gcc") is None:
@@ -205,12 +204,12 @@ def uno(emulator, firmware_image):
 
 @pytest.fixture(scope="module")
 def browser():
-    """A headless Chromium; not for the whole session: it keeps an event loop running."""
+    """A headless Chromium; not kept for the session, because it keeps an event loop running."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no browser here (Debian package chromium)")
-    # As root, and without asking its maker for news: what is tested needs no network.
+    # Options to run as root and without network requests of the browser itself.
     options = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
                "--disable-background-networking", "--disable-component-update",
                "--disable-sync"]  # fmt: skip
@@ -222,7 +221,7 @@ def browser():
 
 @pytest.fixture
 def ros_domain(monkeypatch):
-    """ROS_DOMAIN_ID that no other test has, in this run or another one on this machine."""
+    """A ROS_DOMAIN_ID that no other test on this machine uses."""
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     LOCKS.mkdir(exist_ok=True)
     for domain in random.sample(DOMAINS, len(DOMAINS)):
@@ -236,7 +235,7 @@ def ros_domain(monkeypatch):
 
 @pytest.fixture
 def nodes_forked(monkeypatch):
-    """The nodes of NodeProcesses forked: without the second that reading libraries takes."""
+    """NodeProcesses forks its nodes, which saves the second of loading libraries."""
     from forked_nodes import ForkedNode
 
     from sma_bench.ros import processes

@@ -1,7 +1,7 @@
-"""Nodes forked from a process that has read the package's libraries: each runs as from its command
-line, without the second of processor time that reading them takes.
+"""Nodes forked from a process that has imported the libraries of the package. Each runs as from its
+command line, without the second of CPU time for these imports.
 
-rclpy itself is read after the fork, as it starts threads.
+rclpy itself is imported after the fork, because it starts threads.
 """
 
 import ast
@@ -21,7 +21,7 @@ _AFTER_THE_FORK = ("rclpy", "launch", "launch_ros", "ament_index_python", "sma_b
 
 
 class ForkedNode:
-    """What the tests use of a subprocess.Popen."""
+    """The part of subprocess.Popen that the tests use."""
 
     def __init__(self, name, arguments, log):
         given = name, arguments, str(log), dict(os.environ)
@@ -34,7 +34,7 @@ class ForkedNode:
         return self._process.exitcode
 
     def wait(self, timeout=None):
-        """Exit status; TimeoutExpired where it has none within `timeout` s."""
+        """Exit status. TimeoutExpired: it still runs after `timeout` s."""
         self._process.join(timeout)
         if self.returncode is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
@@ -45,19 +45,19 @@ class ForkedNode:
         return self.returncode
 
     def send_signal(self, number):
-        """Nothing where it has ended, be it this moment."""
+        """Send a signal; does nothing if the process has ended."""
         if self.poll() is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
     def kill(self):
-        """End it at once."""
+        """Kill it."""
         self.send_signal(signal.SIGKILL)
 
 
 @cache
 def _forks():
-    """The process that forks is started at the first node of this worker and ends with it."""
+    """The forking process; it starts with the worker's first node and ends with the worker."""
     context = multiprocessing.get_context("forkserver")
     libraries = {
         node.module

@@ -1,5 +1,5 @@
-"""Hostile texts of a kind: `topics`, `json`, `yaml`; YAML whose merge keys multiply; and values of
-a parameter's type."""
+"""Hostile texts by kind: `topics`, `json`, `yaml`; YAML whose merge keys multiply; and values of a
+parameter's type."""
 
 import math
 from pathlib import Path
@@ -19,7 +19,7 @@ VALUES = {
 
 
 def hostile_values(usual):
-    """Values of a parameter that usually has one such as this."""
+    """Hostile values for a parameter with this usual value."""
     if isinstance(usual, list | tuple):
         return [*([value] for value in VALUES[str]), ["a"] * 10_000]
     return VALUES[type(usual)]
@@ -32,5 +32,5 @@ def hostile(kind):
 
 
 def _text(entry):
-    """A number that YAML read is a text all the same."""
+    """The entry as text, also if YAML read a number."""
     return entry if isinstance(entry, list | str) else str(entry)

@@ -1,4 +1,4 @@
-"""Records of small benches on which an effect, or none, has been planted, by the model itself."""
+"""Records of small benches with a planted effect, or none, simulated by the model itself."""
 
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,12 +20,12 @@ from sma_bench.synthetic.bench_records import signals_of, simulate_finely
 CHANNELS = ("front_1", "back_1")
 ONE_WIRE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
 RATE = 50.0  # Hz
-FINER = 4  # steps of the bench between samples
+FINER = 4  # simulation steps per sample
 DURATION = 20.0  # s
 NOISE = {"current": 0.01, "temperature": 0.15, "deflection": 1e-4}  # A, K, m
 UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
 ALL = ("current", "temperature", "deflection")
-# Those planted, and for each stage one that it is easily taken for.
+# The planted effects, and for each stage one that is easily confused with it.
 THERMAL = ("supply_drop", "latent_heat", "side_heat_coupling")
 FEW = (*THERMAL, "transition_drift", "residual_strain", "viscoelastic_matrix", "deflection_drift")
 BENCHES = yaml.safe_load(Path(__file__).with_name("planted.yaml").read_text())
@@ -33,7 +33,7 @@ LAB, LOADS = BENCHES["lab"], BENCHES["loads"]
 
 
 def believed():
-    """Parameters of the lab, with their uncertainties."""
+    """Stated parameters of the lab, with uncertainties."""
     rig = {"bench.channels": CHANNELS, "bench.channel_sides": ("front", "back")}
     values = {name: value for name, (value, _, _) in LAB.items()}
     stds = {name: std for name, (_, std, _) in LAB.items()}
@@ -41,7 +41,7 @@ def believed():
 
 
 def true_bench(effects=None):
-    """The bench as it is: a little off the belief, with effects."""
+    """The true bench: slightly off the stated parameters, with effects."""
     moved = {name: value + off * std for name, (value, std, off) in LAB.items() if off}
     return believed().replace(moved | (effects or {}))
 
@@ -59,7 +59,7 @@ def drive(turned=False, rate=RATE):
 
 
 def sensor_noise(kind, count, std, random):
-    """(count,) noise of one sensor: white, or with a drift that it remembers for 40 s."""
+    """(count,) noise of one sensor: white, or with a drift of 40 s correlation time."""
     white = std * random.standard_normal(count)
     if kind == "white":
         return white
@@ -71,7 +71,7 @@ def sensor_noise(kind, count, std, random):
 
 def planted_record(path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False,
                    bench=None, protocol=None):  # fmt: skip
-    """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
+    """Write a bag of the true bench, or of `bench`, with a protocol or the drive; read it back."""
     parameters = bench or true_bench(effects)
     channels = parameters["bench.channels"]
 
@@ -103,7 +103,7 @@ def planted_record(path, effects=None, *, quantities=ALL, kind="white", seed=1, 
 
 
 def supply_drop_lab(folder):
-    """The folder, with a `bag` of a wire whose leads drop voltage, and its lab's `lab.yaml`."""
+    """Put a `bag` of a wire whose leads drop voltage, and its `lab.yaml`, into the folder."""
     belief = believed().replace(ONE_WIRE)
     write_parameters(folder / "lab.yaml", belief)
     bench = belief.replace({"effect.supply_drop.resistance": 0.3})
@@ -112,7 +112,7 @@ def supply_drop_lab(folder):
 
 
 def planted_pair(folder, effects=None, **options):
-    """A record, and one with the sides' parts swapped to hold out."""
+    """A record, and a hold-out with the drives of the sides swapped."""
     seen = planted_record(folder / "seen", effects, **options)
     unseen = planted_record(folder / "unseen", effects, seed=2, turned=True, **options)
     return [seen], [unseen]
@@ -120,7 +120,7 @@ def planted_pair(folder, effects=None, **options):
 
 @contextmanager
 def few_effects(names=FEW):
-    """A library of some effects only, in which a diagnosis takes a third of the time."""
+    """Reduce the library to some effects: a diagnosis takes a third of the time."""
     chosen = {name: effect for name, effect in EFFECTS.items() if name in names}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "EFFECTS", chosen)
@@ -135,14 +135,14 @@ READ_WITHIN = {"elongation": 2e-5, "deflection": 2e-5, "force": 0.02}  # m, m, N
 
 
 def moving_lab(load, more=(), stds=()):
-    """What is believed of a rig with this load."""
+    """Stated parameters of a rig with this load."""
     wire = {"wire.length": 0.2, **dict.fromkeys(INFLUENCES, 8e6)}
     rig = {"load.kind": load, **LOADS[load], **dict(more)}
     return Parameters.of_paper().replace({**wire, **rig}, {"load.preload": 0.5, **dict(stds)})
 
 
 def strokes(bench, shape, period, duration, top=5.5):
-    """Time at 25 Hz and volts up to `top`, or duties of the same heat: one wire after the other."""
+    """Time at 25 Hz and voltages up to `top`, or equivalent duties, one wire after the other."""
     time = np.arange(0.0, duration, 0.04)
     inside = ((time - 2.0) % period) / period
     stroke = {
@@ -159,16 +159,16 @@ def strokes(bench, shape, period, duration, top=5.5):
 
 
 def machine_drive(bench, shape, period, duration, top=5.5):
-    """The same strokes of a wire between grips that go to and fro: also the elongation [m]."""
+    """The same strokes of a wire between moving grips: also the elongation [m]."""
     rough, volts = strokes(bench, shape, period, duration, top)
-    time = np.arange(0.0, rough[-1], 0.004)  # a force that is read to 0.1 % tells 20 ms of a drive
+    time = np.arange(0.0, rough[-1], 0.004)  # a force read to 0.1 % resolves 20 ms of a drive
     turn, corners = (time / (1.4 * period)) % 1.0, [0.0, 0.15, 0.45, 0.6, 0.8]
     moved = np.interp(turn, corners, [0.0, -2e-3, -2e-3, 2e-4, 0.0])
     return time, np.interp(time, rough, volts[:, 0]), moved
 
 
 def moving_record(bench, drive, seed, keep=("voltage", "elongation", "deflection")):
-    """What sensors read of a bench under (time, volts), or (time, volts, elongation)."""
+    """Readings of a bench driven by (time, voltages), or (time, voltages, elongation)."""
     random, signals = np.random.default_rng(seed), {}
     for s in signals_of(simulate_finely(bench, *drive)):
         quantity = s.name.rpartition(".")[2]

@@ -1,4 +1,4 @@
-"""The rooms of the house: who may import whom (rooms.yaml), and that ruff agrees."""
+"""Architecture: which packages may import which (rooms.yaml); and ruff finds nothing."""
 
 import ast
 import subprocess
@@ -11,7 +11,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE, EXAMINATION = "sma_bench", "examination"
-# The judge's own physics, which must be wrong in other ways than that of the package.
+# The examination's own physics: its errors must be independent of the package's.
 INDEPENDENT = ("examination.blind.reality", "examination.attack_lab")
 BORROWED = {"compiled", "errors", "parameters", "records"}
 LONGEST_FILE = 600
@@ -33,8 +33,8 @@ def modules(top=PACKAGE):
 
 
 def imports(name, path, known):
-    """Dotted names that a module imports, anywhere in it: absolute, relative, or by a name written
-    out in `import_module`."""
+    """Dotted names that a module imports anywhere: absolute, relative, or as a literal in
+    `import_module`."""
     package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -93,7 +93,7 @@ def test_the_judges_own_physics_borrows_little_from_the_package():
 
 
 def test_ruff_finds_nothing():
-    """Nor does mypy, in .ci/run."""
+    """mypy is run in .ci/run."""
     pytest.importorskip("ruff")
     command = [sys.executable, "-m", "ruff", "check", "."]
     process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

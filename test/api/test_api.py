@@ -14,7 +14,7 @@ from sma_bench import InputError, api
 from sma_bench.cli import main
 
 RATE = 20.0
-# Nothing heavy is imported with the package; its functions hide the rooms of their names.
+# The package imports nothing heavy; its functions hide subpackages of the same name.
 CODE = """
 import sma_bench, sys
 print({"numpy", "scipy", "numba", "pandas", "yaml", "sma_bench.api"} & set(sys.modules))
@@ -31,7 +31,7 @@ def staircase():
 
 
 def arrays(record):
-    """The same record as a notebook's own arrays."""
+    """The same record as plain arrays."""
     return {name: (s.time, s.values) for name, s in record.signals.items()}
 
 

@@ -29,13 +29,13 @@ def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path
     assert read_parameter_names(out)[gain] == pytest.approx(1.0, abs=0.005)
     assert 0.0 < json.loads(answer.read_text())["std"][gain] < 0.02
     assert first == pytest.approx(0.0035 / np.sqrt(5.0), rel=0.3)
-    # Both boards are read for one number: the worse counts.
+    # Both boards share one uncertainty: the larger one counts.
     assert calibrated("back_current", 0.012) == pytest.approx(3.0 * first, rel=0.05)
-    # Readings on a line are no better than their last digits.
+    # Readings exactly on a line: the uncertainty is that of their last digits.
     pairs = ["5.91=6.00", "8.87=9.01", "11.83=12.02"]
     assert main(["calibrate", "supply", *pairs, "--out", str(out)]) == 0
     assert 5e-4 < read_parameter_names(out)["uncertainty.sensor.voltage.gain"] < 2e-3
-    # Two pairs show no scatter; what a person has stated stays.
+    # Two pairs give no scatter, so the stated uncertainty is kept.
     out.write_text(f"/**:\n  ros__parameters:\n    {name}: 0.002\n")
     assert main(["calibrate", "front_current", "0=0", "1=1", "2=2.01", "--out", str(out)]) == 2
     assert f"contains {name} already" in capsys.readouterr().err
@@ -63,7 +63,7 @@ def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_pat
 
 
 def test_known_loads_are_read_from_the_device_one_after_the_other(uno, tmp_path, monkeypatch):
-    """The supply is set to what the prompt asks for; the divider is off by 2 %."""
+    """The supply is set as the prompt asks; the divider is off by 2 %."""
     out = tmp_path / "lab.yaml"
     loads = [8.0, 10.0, 12.0]
     uno.electrics.divider = 4.0 * 1.02

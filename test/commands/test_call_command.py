@@ -1,4 +1,4 @@
-"""Four terminals of the nodes' page, played: three nodes, and `call` that reaches them."""
+"""The four terminals of docs/nodes.md: three nodes, and `call` that reaches them."""
 
 import json
 import re
@@ -24,7 +24,7 @@ PATIENCE = 60.0
 
 
 def terminals():
-    """What the page says to type, without the program's name."""
+    """The commands on the page, without the program's name."""
     blocks = re.findall(r"^```\n(.*?)^```", (ROOT / "docs" / "nodes.md").read_text(), re.M | re.S)
     (block,) = [block for block in blocks if "./bench call" in block]
     return [shlex.split(line)[1:] for line in block.splitlines()]
@@ -34,7 +34,7 @@ def terminals():
 def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, monkeypatch):
     monkeypatch.setattr("sma_bench.commands.nodes._PRESENCE", 1.0)
     assert main(["call", "experiment/start"]) == 2
-    # Pytest shows what the first import of ROS's parser deprecates.
+    # The first import of ROS's parser causes deprecation warnings.
     (error,) = [
         line for line in capsys.readouterr().err.splitlines() if "is deprecated" not in line
     ]
@@ -55,7 +55,7 @@ def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, 
         recorder, experiment = running[1], tmp_path / "experiment.log"
         until(tmp_path / "recorder.log", "wire/temperature")
         answer = accepted([*call, "--set", f"protocol={protocol}", "--json"], capsys)
-        # A busy machine's readings may have been late a moment ago.
+        # On a busy machine, readings may have been late before.
         assert re.match("short: 7 s|starts as soon as it can", json.loads(answer)["answer"])
         until(experiment, "running: short")
         assert main(call) == 2
@@ -73,7 +73,7 @@ def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, 
 
 
 def accepted(call, capsys):
-    """What it prints; on a busy machine the nodes find one another in their own time."""
+    """The output; repeated, because nodes discover each other late on a busy machine."""
     end = time.monotonic() + PATIENCE
     while status := main(call):
         error = capsys.readouterr().err

@@ -17,13 +17,13 @@ from sma_bench.records import read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import signals_of
 
-LONGEST_NAME = 255  # of a file, of Linux
+LONGEST_NAME = 255  # characters of a file name on Linux
 ROOT = Path(__file__).resolve().parents[2]
 REFUSED = yaml.safe_load(Path(__file__).with_name("refused.yaml").read_text())
 
 
 def refuse(capsys, *arguments):
-    """Exit code 2 and exactly one line on standard error, which is returned."""
+    """Require exit code 2 and one line on standard error; returns the line."""
     assert main([str(argument) for argument in arguments]) == 2
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1 and printed.err.startswith("sma-bench: ")
@@ -46,18 +46,18 @@ def test_simulated_bag_holds_the_protocol_and_its_steady_state(tmp_path, capsys)
     assert record["wire.voltage"].values.max() == pytest.approx(2.7, abs=0.02)
     assert record.duration == pytest.approx(76.0, abs=0.1)
     assert main(["simulate", "--input", str(bag), "--out", str(again)]) == 0
-    # Voltages travel as 32-bit floats: 3e-7 relative, of a rise of 17 K.
+    # Voltages are stored as 32-bit floats: 3e-7 relative, of a rise of 17 K.
     assert read_record(again)["wire.temperature"].values == pytest.approx(
         record["wire.temperature"].values, abs=1e-4
     )
-    # Voltages above the limit, and effects of other loads, are said.
+    # Voltages above the limit, and effects of other loads, are reported.
     capsys.readouterr()
     words = ["--set", "bench.maximum_voltage=1.5", "--set", "effect.slack.strain=0.003", "--force"]
     assert main(["simulate", "--input", str(bag), *words, "--out", str(again)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "over-voltage: wire gets 2.68 V, limit 1.5 V" in said
     assert "slack: does nothing: effect slack with load.kind clamped" in said
-    # Parameters of another rig say which rig either is; whatever names are in it, a line is read.
+    # With parameters of another rig, the error names both rigs, in one line whatever the names.
     four = ["--set", "bench.channels=[a, b]", "--set", "bench.channel_sides=[front, back]"]
     line = refuse(capsys, "simulate", "--input", bag, *four, "--out", tmp_path / "other")
     assert "a bench of a, b" in line and "one of wire" in line

@@ -1,4 +1,4 @@
-"""The demo, whole: nodes as processes, bags, services, table, diagnosis, the truth revealed."""
+"""The whole demo: nodes as processes, bags, services, table, diagnosis, true parameters."""
 
 import importlib.util
 import json
@@ -29,7 +29,7 @@ def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_er
         for name, value in numbers.items():
             low, high = demo.HIDEABLE[effect][name.rpartition(".")[2]]
             assert low <= abs(value) <= high
-        # It says none of its errors.
+        # The bench's file states no uncertainties.
         assert bench.given_uncertainty == {} and bench["bench.channels"] == LAB["bench.channels"]
     stated = LAB.given_uncertainty.items()
     errors = np.array([[(bench[n] - LAB[n]) / std for n, std in stated] for bench in drawn])
@@ -39,7 +39,7 @@ def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_er
 
 
 def answer(probabilities, verdict="effect"):
-    """A diagnosis result of candidates, the first of which is the cause where one is named."""
+    """A diagnosis result with these candidates; the first is the cause if the verdict is effect."""
     candidates = [{"name": n, "probability": p, "parameters": {}} for n, p in probabilities.items()]
     cause = candidates[0]["name"].split("+") if verdict == "effect" else []
     return {"verdict": verdict, "cause": cause, "candidates": candidates}
@@ -56,7 +56,7 @@ OTHER = {"opposing_wires": 0.6, "slack": 0.3, "ambient_drift+slack": 0.05}
     (answer({"recalibration": 0.9, "slack": 0.1}, "recalibration"), True, "the true cause 0.10."),
 ])  # fmt: skip
 def test_the_reveal_says_whether_the_first_choice_was_right(said, wrong, words):
-    """Confidently wrong is a cause, or near certainty, beside the truth."""
+    """Confidently wrong: a cause or a nearly certain candidate that is not the true one."""
     assert demo.confidently_wrong(said, TRUTH) is wrong
     first, second, *_ = demo.reveal(said, TRUTH)
     assert first == "The bench hid slack (mechanical): slack.strain 0.004."
@@ -69,7 +69,7 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     if importlib.util.find_spec("rclpy") is None:
         pytest.skip("rclpy is not installed")
     for variable in ("ROS_DOMAIN_ID", *USERS_VARIABLES):
-        monkeypatch.setenv(variable, "")  # the demo sets them for itself; put back afterwards
+        monkeypatch.setenv(variable, "")  # the demo sets them; monkeypatch restores them
         monkeypatch.delenv(variable)
     monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
     out = tmp_path / "demo"

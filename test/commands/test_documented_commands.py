@@ -24,12 +24,12 @@ INLINE = re.compile(r"`([^`]+)`")
 LAUNCH_ARGUMENTS = {"wire_bench.launch.py": WIRE.arguments,
                     "composite_bench.launch.py": COMPOSITE.arguments,
                     "replay.launch.py": bench_plan.REPLAY}  # fmt: skip
-# Within a sentence, without what they take.
+# Commands that may be named in a sentence without arguments.
 NAMED_ONLY = {"call", "import", "info", "notebook", "python", "run"}
 
 
 def documented(*programs):
-    """Command lines of the pages, in a block or within a sentence: where, and words."""
+    """Command lines of the pages, in a block or a sentence: (place, words)."""
     found = []
     for page in PAGES:
         text = page.read_text()
@@ -48,12 +48,12 @@ OURS, ROS = documented("./bench", "sma-bench"), documented("ros2")
 
 
 def is_protocol(name):
-    """Whether it names a shipped protocol or a file of the reader's own."""
+    """True if it is a protocol of the package or a file of the reader."""
     return name in protocol_names() or name.endswith(".yaml")
 
 
 def check_command(words):
-    """Why ./bench or sma-bench would not take these words, or ""."""
+    """Why ./bench or sma-bench would refuse these words, or ""."""
     name, *rest = words
     if name == "test" or (len(words) == 1 and name in NAMED_ONLY):
         return ""
@@ -85,7 +85,7 @@ def check_command(words):
 
 
 def check_ros(words):
-    """Why ros2 would not know what these words name, or ""."""
+    """Why ros2 would not find the names in these words, or ""."""
     settings = dict(word.split(":=", 1) for word in words if ":=" in word)
     if not is_protocol(settings.get("protocol", protocol_names()[0])):
         return f"no protocol {settings['protocol']}"

@@ -1,5 +1,5 @@
-"""Effects by name and size: each shows where it says, all are listed; E11 about any operating
-point."""
+"""Effects by name and size: each shows in the signals that it states, all are listed; E11 about any
+operating point."""
 
 import json
 
@@ -15,7 +15,7 @@ from sma_bench.physics.linearised import OperatingPoint, maximum_deflection
 from sma_bench.synthetic.bench_records import signals_of
 from sma_bench.synthetic.paper_specimens import composite_rig
 
-# Incomplete loops between whole ones.
+# Partial loops between full ones.
 DRIVE, DEMO = "composite_diagnosis_triangles", "config/demo_rig.yaml"
 
 
@@ -33,7 +33,7 @@ def plain():
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=list(EFFECTS))
 def test_every_effect_can_be_switched_on_and_shows_where_it_says(effect, plain):
     found = readings(**{effect.name: effect.size.uncertainty})
-    # Steps are shorter where an effect is on, so the last digits differ everywhere.
+    # The steps are shorter with an effect, so last digits differ in all signals.
     same = [q for q in plain if np.allclose(found[q], plain[q], rtol=1e-9, atol=1e-12)]
     assert set(plain) - set(same) == set(effect.acts_on)
 

@@ -1,5 +1,5 @@
-"""Every command's help ends in examples that its own parser takes; what a shell is offered; JSON;
-tables fit the terminal."""
+"""Every command's help ends in examples that its own parser accepts; shell completion; JSON; tables
+fit the terminal."""
 
 import json
 import shlex
@@ -74,7 +74,7 @@ print(sorted({"scipy", "numba", "matplotlib", "rclpy"} & set(sys.modules)))
 
 
 def test_help_loads_nothing_heavy():
-    """It is there in a moment, of every command."""
+    """So the help of every command appears at once."""
     process = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True)
     assert process.stdout.strip() == "[]", process.stderr
 
@@ -96,7 +96,7 @@ def test_a_shell_is_offered_what_may_follow(line, offered, monkeypatch, capsys):
         main([])
     shown = capsys.readouterr()
     assert shown.err == ""
-    # A file is the shell's own.
+    # Files are completed by the shell itself.
     assert [line.partition(",")[2] or "FILE" for line in shown.out.splitlines()] == offered
 
 
@@ -110,7 +110,7 @@ def test_several_values_of_an_option_stand_behind_it_or_behind_each_of_it():
         found = parsed("diagnose", "bag", *words, "--params", "lab.yaml")
         assert found["hold_out"] == wanted and found["records"] == ("bag",)
     assert parsed("linearise", "--voltage", "-1", "2.5", "-3")["voltage"] == (-1.0, 2.5, -3.0)
-    # What follows ros-args is for ROS.
+    # Everything after --ros-args is for ROS.
     found = parsed("call", "a/b", "--json", "--ros-args", "-p", "x:=a b", "--set", "y")
     assert found["json"] == "-" and found["settings"] == ()
     assert found["ros_args"] == "-p 'x:=a b' --set y"

@@ -1,4 +1,4 @@
-"""sma-bench investigate: a record names nothing, a run in software is added, the cause is named."""
+"""sma-bench investigate: no cause after one record; after a simulated run the cause is named."""
 
 import json
 
@@ -16,7 +16,7 @@ from sma_bench.tasks import jobs
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-# 2.5 K a minute hide in 20 s of deflection: other parameters explain it nearly as well.
+# 2.5 K per minute are hidden in 20 s of deflection: other parameters explain it nearly as well.
 WARMING = {"effect.ambient_drift.rate": 0.042}
 LIBRARY = ("side_heat_coupling", "ambient_drift")
 
@@ -58,7 +58,7 @@ def test_a_record_that_names_nothing_is_followed_until_the_cause_is_named(lab, c
     page = (lab / "gap" / "story" / "index.html").read_text()
     assert "ambient_drift explains the gap" in page and "SHA-256" in page  # its card comes first
     capsys.readouterr()
-    assert investigate(lab) == 0  # nothing is done again
+    assert investigate(lab) == 0  # no step is repeated
     assert "named: ambient_drift after 2 records" in capsys.readouterr().out
 
 

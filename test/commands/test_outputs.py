@@ -1,4 +1,4 @@
-"""Nothing lost by accident: no command replaces what exists without --force, and no input ever."""
+"""No file is lost by accident: no command replaces one without --force, and never an input."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ WORDS, READ = GIVEN["words"], set(GIVEN["read"])
 
 
 def outputs(*kinds, reading=False):
-    """Command, option, kind of every output; `reading`: of commands that read a file."""
+    """(command, option, kind) of every output; `reading`: only of commands that read a file."""
     return [
         (name, option.opts[0], option.type.kind)
         for name, option in PARAMETERS
@@ -50,7 +50,7 @@ def content(folder):
 
 @pytest.fixture
 def lab(tmp_path):
-    """A file and a folder that looks like a bag, both worth keeping, and a link."""
+    """A file, a folder that looks like a bag, and a link: none may be lost."""
     (tmp_path / "given.csv").write_text("1,2\n")
     (tmp_path / "linked.csv").symlink_to(tmp_path / "given.csv")
     (tmp_path / "precious").mkdir()
@@ -61,7 +61,7 @@ def lab(tmp_path):
 
 @pytest.fixture
 def refused(capsys):
-    """Runs a command that is refused in one line, which is returned."""
+    """Runs a command that must be refused in one line, and returns the line."""
 
     def run(*words):
         capsys.readouterr()

@@ -65,4 +65,4 @@ def test_a_terminal_gets_a_line_that_fits_and_vanishes():
     frames = [frame for frame in re.split(r"[\r\n]+", plain) if frame.strip()]
     assert any("…" in frame and re.search(r"\d+%, \d+ s left", frame) for frame in frames)
     assert max(cell_len(frame) for frame in frames) <= 40
-    assert screen.rstrip().endswith("\x1b[2K")  # the last that is done is to wipe the line
+    assert screen.rstrip().endswith("\x1b[2K")  # the last output clears the line

@@ -1,4 +1,4 @@
-"""From files as they come to one page: `sma-bench try`."""
+"""From a lab's files to one page: `sma-bench try`."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ TABLE, LAB = EXAMPLES / "ten_tasks" / "run.csv", EXAMPLES / "ten_tasks" / "lab.y
 
 @pytest.fixture
 def asked(tmp_path, monkeypatch):
-    """What `try` answers in an empty folder: exit status and JSON."""
+    """Exit status and JSON of `try` in an empty folder."""
     monkeypatch.chdir(tmp_path)
 
     def ask(*words):

@@ -1,4 +1,4 @@
-"""Cards of results: made from facts by templates, the same wherever they are shown."""
+"""Cards of results: made from facts by templates, the same everywhere."""
 
 import copy
 import json
@@ -81,7 +81,7 @@ def test_numbers_stand_with_their_errors_apart_and_what_was_stated():
     found = rows(identified())
     assert WIRE in found["off"][0] and "-0.70" in found["linked"][0]
     assert results.two_errors(Estimate(2.0, 0.0)) == "2"
-    # What is rounded to nothing has no sign.
+    # A number that is rounded to 0 has no sign.
     near = KELVIN | {"value": 296.15 - 1e-4, "stated": {"value": 296.15, "std": 0.5}}
     (row,) = results.number_rows(identified(parameters={ROOM: near}))
     assert "(0.0 std)" in row[4]
@@ -104,7 +104,7 @@ def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_
         assert results.json_text(again.to_json()) == results.json_text(result.to_json())
         assert again.to_json()["card"][0] == ["", results.card(result).title]
         before.append(json.loads(results.json_text(again.to_json())))
-    # The templates with every word of their own replaced by another.
+    # The templates with all of their own letters replaced.
     other = shutil.copytree(results.TEMPLATES, tmp_path / "other")
     for path in other.glob("*.j2"):
         tokens = jinja2.Environment(autoescape=True).lex(path.read_text())
@@ -114,7 +114,7 @@ def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_
     for result, one in zip((diagnosed(), identified()), before, strict=True):
         found = json.loads(results.json_text(result.to_json()))
         changed = {key for key in one if one[key] != found[key]}
-        assert "card" in changed <= {"card", "gap", "why"}  # what is shown and no more
+        assert "card" in changed <= {"card", "gap", "why"}  # only texts for users
         assert "ж" in results.card_text(result) and "ж" in results.card_html(result)
     gaps = zip(before[0]["gap"], diagnosed().to_json()["gap"], strict=True)
     assert all((a["is_gap"], a["values"]) == (b["is_gap"], b["values"]) for a, b in gaps)

@@ -1,4 +1,4 @@
-"""`sma-bench report`: one page of records and result files, whole or not at all."""
+"""`sma-bench report`: one page of records and result files, written as a whole or not at all."""
 
 import base64
 import copy
@@ -24,14 +24,14 @@ PICTURES = {"input_1_signals_over_time", "input_2_agreement"}
 
 
 def text_of(page):
-    """What a reader sees of a page."""
+    """The visible text of a page."""
     body = re.sub(r"<(style|script).*?</\1>", "", page, flags=re.S)
     return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
-    """A bag, results of both kinds with names that are none, and a parameter file."""
+    """A bag, results of both kinds with hostile names, and a parameter file."""
     folder = tmp_path_factory.mktemp("lab")
     time = np.arange(0.0, 20.0, 0.01)
     levels = {"voltage": ("V", 2.0), "current": ("A", 0.7), "temperature": ("K", 320.0)}
@@ -51,7 +51,7 @@ def lab(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def out(lab):
-    """The report of all of them."""
+    """The report of all these inputs."""
     inputs = [str(lab / name) for name in ("bag", "identified.json", "diagnosis.json")]
     words = ["--params", str(lab / "lab.yaml"), "--title", EVIL, "--out", str(lab / "out")]
     assert main(["report", *inputs, *words, "--json", str(lab / "report.json")]) == 0
@@ -61,7 +61,7 @@ def out(lab):
 def test_a_page_of_everything_stands_alone_is_escaped_and_says_what_it_is_made_of(lab, out):
     raw = (out / "index.html").read_text()
     text = text_of(raw)
-    # The curves as data, and the one script that the page's own policy lets run.
+    # The curves as data, and the only script that the page's policy allows.
     assert EVIL not in raw and "<script>alert" not in raw
     assert re.findall(r"<script[^>]*>", raw) == ['<script type="application/json">', "<script>"]
     assert f"<script>{script()}</script>" in raw

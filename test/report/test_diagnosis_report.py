@@ -1,4 +1,4 @@
-"""The page of a diagnosis: the argument in words that fit the numbers, and every figure."""
+"""The page of a diagnosis: sentences that agree with the numbers, and every figure."""
 
 import html
 import re
@@ -20,7 +20,7 @@ def page(planted_diagnosis, tmp_path_factory):
 
 
 def judged(result, verdict):
-    """The same fits with another verdict."""
+    """The same result with another verdict."""
     ranked = sorted(result.candidates, key=lambda c: c.name != verdict)
     ranked[0] = replace(ranked[0], probability=0.9)
     return replace(result, verdict=verdict, cause=(), candidates=tuple(ranked))
@@ -46,7 +46,7 @@ def test_the_page_makes_the_argument_in_order_with_every_figure(page, planted_di
 
 
 def test_what_the_geometry_gives_is_believed_to_be_that(planted_diagnosis):
-    """Not the 0 that stands in the file for it."""
+    """Not the 0 in the file, which stands for it."""
     name = "composite.deflection_per_strain"
     given = planted_diagnosis.parameters[name]
     file = planted_diagnosis.parameters.replace({name: 0.0})
@@ -58,7 +58,7 @@ def test_what_the_geometry_gives_is_believed_to_be_that(planted_diagnosis):
 
 @pytest.mark.usefixtures("undrawn")
 def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis, tmp_path):
-    # The heat from side to side that recalibration leaves, which a sensor that bends may feign.
+    # The residual is due to heat between the sides; a sensor error may look similar.
     inputs = planted_diagnosis.search.inputs
     assert inputs["thermal"].gain > 5.0 and "thermal" in list(inputs)[:2]
     missing = missed(planted_diagnosis.search.recalibrated, "thermal", inputs["thermal"])

@@ -1,4 +1,4 @@
-"""The reports in a real browser: nothing sticks out, everything can be read, no complaint."""
+"""The reports in a real browser: nothing is too wide or too faint, no error on the console."""
 
 import copy
 import json
@@ -21,7 +21,7 @@ SENTENCE = "a cell that says a whole sentence and needs more room than a name do
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """Pages by name: of a record and a result, and one made to stick out."""
+    """Pages by name: of a record and a result, and one with very wide contents."""
     folder = tmp_path_factory.mktemp("pages")
     time = np.arange(0.0, 20.0, 0.01)
     signals = [
@@ -59,7 +59,7 @@ def test_a_report_fits_and_can_be_read(browser, pages, name):
     with opened(browser, url, PHONE, schemes[1]) as shown:
         assert [*shown.complaints, *shown.too_wide, *shown.faint] == []
         assert set(shown.page.evaluate(LINES_OF_NUMBERS)) == {1}
-        if name == "record":  # figures keep their size and scroll in themselves
+        if name == "record":  # figures keep their size and scroll on their own
             assert shown.page.evaluate(WIDTH) >= 600
             assert shown.page.evaluate(SCROLLED) == 100
 
@@ -80,7 +80,7 @@ DRAWN = """(() => {
 
 
 def place(shown, share):
-    """Where on the page a share of the time axis of the first figure is."""
+    """Position on the page of a share of the time axis of the first figure."""
     x, y, width = shown.page.evaluate("""() => {
         const plot = document.querySelector('.view .u-over');
         plot.scrollIntoView({ block: 'center' });
@@ -90,14 +90,14 @@ def place(shown, share):
 
 
 def time_shown(shown):
-    """s under the pointer, as the legend says it; uPlot moves it with the next frame."""
+    """Time in s under the pointer, from the legend, which uPlot updates with the next frame."""
     shown.until(f"({VALUES})[0] !== ''")
     return float(shown.page.evaluate(VALUES)[0])
 
 
 def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages):
     with opened(browser, pages["record"].as_uri(), DESKTOP) as shown:
-        shown.until(DRAWN)  # in a frame to come
+        shown.until(DRAWN)  # in one of the next frames
         data = "document.querySelector('figure.curves script').textContent"
         panels = json.loads(shown.page.evaluate(data))
         assert [panel["marks"] for panel in panels] == [[1.0, 9.0]] * 2
@@ -109,7 +109,7 @@ def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages):
         assert time == pytest.approx(10.0, abs=0.5)
         value = float(shown.page.evaluate(VALUES)[1])
         assert value == pytest.approx(2.0 * (1.0 + 0.1 * np.sin(time)), abs=0.02)
-        assert shown.page.evaluate(high) == before  # it does not move under the pointer
+        assert shown.page.evaluate(high) == before  # the figure does not move under the pointer
         assert shown.complaints == [] and shown.too_wide == []
 
 
@@ -129,7 +129,7 @@ def test_without_the_script_and_on_white_paper_the_picture_stands_there(browser,
 
 
 def test_a_script_from_elsewhere_does_not_run(browser, pages, tmp_path):
-    """Should a text ever get through unescaped, the page's policy is the second lock."""
+    """If a text were ever left unescaped, the page's policy would still stop a script."""
     path = tmp_path / "injected.html"
     text = pages["record"].read_text()
     path.write_text(text.replace("<h1>", "<script>document.title = 'mine'</script><h1>", 1))

@@ -55,7 +55,7 @@ def other_wire():
 
 
 def drawn(ax):
-    """Heights of what is drawn as a line."""
+    """y values of everything drawn as a line."""
     found = [line.get_ydata() for line in ax.get_lines() if len(line.get_ydata()) > 2]
     whole = np.concatenate(found).astype(float)
     return whole[np.isfinite(whole)]
@@ -66,7 +66,7 @@ def number(text):
 
 
 def lines(picture, label):
-    """(m, 2) points of the lines whose label begins so."""
+    """(m, 2) points of the lines whose label begins like this."""
     drawn = [line for ax in picture[0].figure.axes for line in ax.get_lines()]
     found = [line.get_xydata() for line in drawn if str(line.get_label()).startswith(label)]
     assert found, f"no line {label!r}"
@@ -97,7 +97,7 @@ def test_every_figure_of_the_paper_is_there_and_says_where_its_data_is_from(pict
 
 
 def test_the_wires_figures_show_what_the_paper_measured(pictures):
-    for number in (2, 3):  # a staircase in both directions
+    for number in (2, 3):  # staircases, up and down
         heating, cooling = (lines(pictures[number], name) for name in ("heating", "cooling"))
         assert heating[:, 0].max() == pytest.approx(6.25, abs=0.02)
         assert (len(heating), len(cooling)) == (26, 25)
@@ -141,7 +141,7 @@ def test_a_diagram_a_joint_fit_and_a_moving_bench_are_drawn_too(tmp_path):
     upfr, diagram, joint, moving = (p for e in experiments for p in experiment_pictures(e))
     assert (upfr.name, diagram.name) == ("figure_08_upfr", "stress_temperature")
     assert "(9) to (11)" in joint.caption and "deflection" in moving.figure.axes[0].get_ylabel()
-    # The diagram has lines through its points.
+    # The lines of the diagram pass through its points.
     (ax,) = diagram.figure.axes
     ends = [line.get_xydata() for line in ax.get_lines() if len(line.get_xdata()) == 2]
     slopes = [np.subtract(hot, cold) for cold, hot in ends]
@@ -155,12 +155,12 @@ def test_tables_set_the_identified_value_beside_the_papers(page):
             continue
         assert row.estimate is not None and row.std > 0.0, row
         if row.symbol in ("Θ_T", "C_A", "C_M", "R, cooling") or np.isnan(row.printed):
-            continue  # the synthetic wire has others
+            continue  # the synthetic wire differs
         error = 4.0 * row.std if np.isnan(row.printed_std) else row.printed_std
         assert row.value == pytest.approx(row.printed, abs=error), row.symbol
     moduli, text = ({row.symbol: row for row in page.tables[name]}
                     for name in ("table_3", "numbers_in_the_text"))
-    # The paper's deviation is of its three wires; gauge length and diameter are off for all alike.
+    # The paper's deviation is the scatter of three wires; errors of gauge and diameter are common.
     e_a = moduli["E_A"]
     assert e_a.estimate.statistical == pytest.approx(2.5e9, rel=0.05)
     assert e_a.estimate.systematic == pytest.approx(np.hypot(0.01, 2.0 * 0.01) * 55.4e9, rel=0.01)
@@ -170,7 +170,7 @@ def test_tables_set_the_identified_value_beside_the_papers(page):
     assert first[:3] == ("A_s", "heat cycle 1", "351.29")
     assert second[:3] == ("A_s", "heat cycle 2", "331.81")
     assert re.fullmatch(r"331\.\d+", second[3]) and re.fullmatch(r"0\.\d+", second[4])
-    assert "phase_dependent_resistance" in text["R, cooling"].origin  # why it is another
+    assert "phase_dependent_resistance" in text["R, cooling"].origin  # why it differs
 
 
 def test_all_nineteen_errata_have_numbers_and_only_the_corrected_ones_pass_the_independent_check():
@@ -178,7 +178,7 @@ def test_all_nineteen_errata_have_numbers_and_only_the_corrected_ones_pass_the_i
     assert [erratum.number for erratum in errata] == list(range(1, 20))
     assert all(e.printed != e.corrected and (e.lines or e.number == 11) for e in errata)
     said = {e.number: " ".join(" ".join(line) for line in e.lines) for e in errata}
-    worked_out = {  # by hand, of the paper's printed numbers
+    worked_out = {  # by hand, from the paper's printed numbers
         7: ["+21.58 K", "+4.20 K"], 8: ["0.420 m", "0.200 m", "849"], 9: ["0.196 s"],
         10: ["-0.15 to -0.61 MPa/K"], 12: [f"{4.0 / (np.pi * 0.3**2) * 1e6:.5g} Pa"],
         13: [f"{upfr - dsc:+.2f} K" for upfr, dsc in (
@@ -188,7 +188,7 @@ def test_all_nineteen_errata_have_numbers_and_only_the_corrected_ones_pass_the_i
     assert "2.4% of δ" in errata[18].remark
     for item, numbers in worked_out.items():
         assert [n for n in numbers if n not in said[item]] == []
-    # What the package has today.
+    # The present values of the package.
     rig = PAPER.replace(specimens.COMPOSITE)
     point = OperatingPoint.at_deflection(rig, 0.5 * maximum_deflection(rig), "heating")
     beam, table = Beam.of(rig), {row.name: row for row in printed.coefficient_table(point)}
@@ -205,7 +205,7 @@ def test_all_nineteen_errata_have_numbers_and_only_the_corrected_ones_pass_the_i
         checked = [line for line in errata[item - 1].lines if line[3]]
         assert checked
         for name, as_printed, corrected, check in checked:
-            tolerance = 0.02 if "0.02" in name else 1e-4  # the linearisation itself, off its point
+            tolerance = 0.02 if "0.02" in name else 1e-4  # error of the linearisation off its point
             assert number(corrected) == pytest.approx(number(check), rel=tolerance), name
             if name != "σ at ξ* - 0":
                 apart = 0.02 if item in (12, 18, 19) else 0.1
@@ -213,7 +213,7 @@ def test_all_nineteen_errata_have_numbers_and_only_the_corrected_ones_pass_the_i
 
 
 def test_e6_to_e8_are_identified_from_the_bags_of_their_protocols(tmp_path):
-    """A wire under 1 N, one pulled cold and hot, one between clamps."""
+    """A wire under 1 N, one in cold and hot tensile tests, one between clamps."""
     bags, wire = [], Parameters.of_paper()
     protocols = (("isobaric", 5.0), ("tensile", 50.0), ("thermal_expansion", 10.0))
     for seed, (name, rate) in enumerate(protocols, 1):
@@ -230,7 +230,7 @@ def test_e6_to_e8_are_identified_from_the_bags_of_their_protocols(tmp_path):
     estimates = {n: e for outcome in outcomes.values() for n, e in outcome.estimates.items()}
     for name, value in true.items():
         found = estimates[name]
-        # Simulated instruments have noise, but scale, zero and section as stated.
+        # Simulated sensors have noise, but no errors of scale, zero and cross section.
         assert abs(found.value - value) < 3.0 * found.statistical < 0.1 * abs(value), name
         assert found.std < 0.05 * abs(value), name
 
@@ -256,7 +256,7 @@ def test_records_feed_the_figures_they_can_and_the_rest_stays_synthetic(other_wi
         assert picture.caption.endswith("Data: record given.")
     assert pictures[2][0].figure.axes[0].get_title(loc="right") == "data: record given"
     assert "Data: synthetic" in pictures[6][0].caption
-    # Fig. 6 is synthetic: it must not be simulated with the numbers of another wire.
+    # Fig. 6 is synthetic here and must not use the parameters of the other wire.
     labels = " ".join(str(x.get_label()) for x in pictures[6][0].figure.axes[1].get_lines())
     assert float(re.search(r"rms error ([\d.]+)", labels)[1]) < 0.3
 
@@ -270,7 +270,7 @@ def test_sorting_tells_what_each_record_is_good_for(other_wire):
     assert notes == [] and found["upfr"] == made["isobaric"][:1]
     assert {group: found[group] for group in groups} == made
     assert staircase in found["thermal"] and ramp in found["thermal"]
-    # Repeats at one stress are a UPFR test and no diagram.
+    # Repeated tests at one stress are a UPFR test, without a diagram.
     found, _ = sort_records(specimens.papers_records("upfr", PAPER), PAPER)
     assert len(found["upfr"]) == 3 and "isobaric" not in found
 

@@ -1,4 +1,4 @@
-"""What draws itself: figures for pages, notebooks and papers, and records over each other."""
+"""`plot()`: figures for pages, notebooks and papers, and overlaid records."""
 
 import csv
 import json
@@ -24,7 +24,7 @@ TIME = np.arange(0.0, 20.0, 0.05)
 
 @pytest.fixture(scope="module")
 def record():
-    """Four wires, driven by turns; their temperatures follow."""
+    """Four wires, driven one after the other; their temperatures follow."""
     columns = {"time": TIME, "deflection": 1e-3 * np.sin(TIME)}
     for k, wire in enumerate(WIRES):
         volts = np.where((2.0 + 4.0 * k < TIME) & (4.0 + 4.0 * k > TIME), 3.0 + k, 0.0)
@@ -67,7 +67,7 @@ def test_a_figure_is_saved_for_a_paper_and_as_plain_numbers(record, tmp_path):
     for name in ("a.png", "a.svg", "a.pdf", "a.csv"):
         plot.save(tmp_path / name)
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
-    assert "front_1</text>" in (tmp_path / "a.svg").read_text()  # letters stay letters
+    assert "front_1</text>" in (tmp_path / "a.svg").read_text()  # text stays text
     rows = [row for row in rows_of(tmp_path / "a.csv") if row["curve"] == "back_2"]
     assert max(float(row["y"]) for row in rows) == pytest.approx(326.0)
     assert {row["panel"] for row in rows} == {"temperature [K]"}
@@ -149,7 +149,7 @@ def test_tables_become_csv_and_names_from_outside_are_text(tmp_path):
     assert names == ["name", "'=HYPERLINK(1)\\x1b[2J\\udcff\\u202e", "-1.5"]
 
 
-# --- Records over each other.
+# --- Overlaid records.
 
 
 def later(record, seconds):

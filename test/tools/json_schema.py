@@ -1,4 +1,4 @@
-"""As much of JSON Schema as config/json_topics.json is written in; another keyword is an error."""
+"""The part of JSON Schema that config/json_topics.json uses; other keywords are an error."""
 
 import json
 from functools import cache
@@ -18,7 +18,7 @@ def topics():
 
 
 def check(topic, text):
-    """Of a message on a topic: AssertionError for what its schema does not allow. Topics without a
+    """Check a message on a topic. AssertionError: its schema does not allow it; topics without a
     schema carry no JSON."""
     for end, schema in topics().items():
         if f"/{topic}".endswith(f"/{end}"):
@@ -27,7 +27,7 @@ def check(topic, text):
 
 
 def faults(value, schema, where="it"):
-    """What a schema does not allow, a line each."""
+    """Violations of a schema, one line each."""
     assert schema.keys() <= _KNOWN, schema.keys() - _KNOWN
     if "$ref" in schema:
         yield from faults(value, _defined()[schema["$ref"].rpartition("/")[2]], where)

@@ -1,4 +1,4 @@
-"""Isobaric tests for E6 and E9: of a material that obeys the contract, and measured ones."""
+"""Isobaric tests for E6 and E9: of a material that follows the model, and measured ones."""
 
 from pathlib import Path
 

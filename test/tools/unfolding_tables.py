@@ -1,4 +1,4 @@
-"""Small tables that hold one large thing and refer to it often."""
+"""Small files that refer to one large item many times, so that they unfold to a huge table."""
 
 import zipfile
 
@@ -52,7 +52,7 @@ def dictionary_text(target):
 
 
 def unfolding_tables(folder):
-    """One of each."""
+    """One file of each kind."""
     texts = b"<si><t>" + TEXT + b"</t></si>"
     return [shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
             dictionary_text(folder / "often.parquet")]

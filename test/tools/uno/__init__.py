@@ -1,1 +1,1 @@
-"""A bench without hardware: the real firmware on an emulated Uno, wires at its pins. No ROS."""
+"""A bench without hardware or ROS: real firmware on an emulated Uno, with simulated wires."""

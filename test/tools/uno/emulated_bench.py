@@ -1,4 +1,4 @@
-"""A bench on an emulated Uno: wires at its pins, and a port to open instead of a cable's."""
+"""A bench on an emulated Uno: simulated wires at its pins, and a pseudo-terminal as serial port."""
 
 import contextlib
 import math
@@ -26,13 +26,13 @@ STANDOFF = 0.1
 
 
 class Plant:
-    """The physics of a rig, driven by the outputs' real pulses and seen through the real pins. The
-    rig's channels hang on the first outputs; the others have nothing connected."""
+    """The physics of a rig, driven by the real pulses of the outputs and measured at the real pins.
+    The rig's channels are connected to the first outputs; the others are open."""
 
     def __init__(self, uno: EmulatedUno, parameters: Parameters) -> None:
         self._uno = uno
         self._wires = len(parameters["bench.channels"])
-        # What the outputs did comes as volts that heat, whatever the drive.
+        # The simulation gets the rms voltage of the outputs, whatever the drive.
         self.bench = Bench(parameters.replace({"bench.drive": "voltage"}))
         self._squares, self._time = np.array(uno.electrics.square_time), uno.time
         resistance = parameters["wire.resistance"] / parameters["wire.count"]
@@ -42,7 +42,7 @@ class Plant:
         self._show_deflection()
 
     def advance(self) -> None:
-        """Let the time pass that the Uno has just run."""
+        """Advance the plant by the time that the Uno has just run."""
         dt = self._uno.time - self._time
         if dt > 0.0:
             before, self._squares = self._squares, np.array(self._uno.electrics.square_time)
@@ -51,7 +51,7 @@ class Plant:
             self._show_deflection()
 
     def run(self, seconds: float, step: float = 1e-3) -> None:
-        """Uno and wires together."""
+        """Run Uno and wires together."""
         for _ in range(round(seconds / step)):
             self._uno.run(step)
             self.advance()
@@ -64,7 +64,7 @@ class Plant:
 
 
 class PinWatch:
-    """When current could flow, as an oscilloscope would see it; `look` after every slice."""
+    """When current could flow last, as on an oscilloscope; call `look` after every slice."""
 
     def __init__(self, uno: EmulatedUno) -> None:
         self._uno = uno
@@ -73,7 +73,7 @@ class PinWatch:
         """s of the Uno's clock: when an output was high, or a wire connected, for the last time"""
 
     def look(self) -> None:
-        """Note whether it was so since the last look."""
+        """Note whether current could flow since the last call."""
         on_time = sum(self._uno.electrics.on_time) + sum(self._uno.electrics.wire_time)
         if on_time > self._on_time:
             self.last_on = self._uno.time
@@ -81,24 +81,23 @@ class PinWatch:
 
     @property
     def off_for(self) -> float:
-        """s since then."""
+        """s since current could flow last."""
         return self._uno.time - self.last_on
 
 
 SLICE = 5e-4
 _PRIORITY = 1
-# How much faster than the wall's the device's time may go to catch up a delay: its command timeout
-# is on that time, and a host that was never silent must not seem to be.
+# To catch up a delay, the device's time runs at most this factor faster than real time: its
+# command timeout runs on that time and must not expire although the host was never silent.
 _CATCH_UP = 1.25
-# s that are caught up as fast as it can.
-_AT_ONCE = 5e-3
+_AT_ONCE = 5e-3  # s, delays that are caught up without this limit
 
 
 class PtyBench:
     """Runs a device (run, write, read) at the speed of the wall clock; `path` is the port.
 
-    `each_slice()` lets a plant pass the same time, in the same thread; so does `on_open()` what
-    somebody causes who opens the port.
+    `each_slice()` advances a plant by the same time, in the same thread; `on_open()` is called
+    there when the port is opened.
     """
 
     def __init__(
@@ -112,18 +111,18 @@ class PtyBench:
         self._thread.start()
 
     def stop(self) -> None:
-        """Time ends, and the port is gone as if its cable were pulled."""
+        """Stop, and remove the port as if its cable were unplugged."""
         self._stopping.set()
         self._thread.join()
         self.unplug()
 
     def plug(self) -> None:
-        """A new cable, with a `path` of its own. Between two slices (`do`), or before time."""
+        """Plug in a new cable, with a new `path`. Between two slices (`do`), or before a start."""
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(slave)
-        # The master hangs up while nobody has the other end: so an opening shows.
+        # The master reports a hang-up while the other end is closed; that shows when it is opened.
         os.close(slave)
         self._end = select.poll()
         self._end.register(self._master, select.POLLIN)
@@ -131,7 +130,7 @@ class PtyBench:
         self._plugged = True
 
     def unplug(self) -> None:
-        """Pull the cable; the device goes on. Between two slices (`do`), or after the end."""
+        """Unplug the cable; the device goes on. Call between two slices (`do`) or after the end."""
         if self._plugged:
             self._plugged = False
             os.close(self._master)
@@ -143,7 +142,7 @@ class PtyBench:
         done.wait()
 
     def _run(self) -> None:
-        # A late emulator is a device whose clock stumbles. Not everybody may ask for this.
+        # Real-time priority, if permitted: a late emulator is a device with an irregular clock.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
         due = soonest = time.monotonic()
@@ -153,14 +152,14 @@ class PtyBench:
             self._carry()
             self.device.run(SLICE)
             self._each_slice()
-            # Every delay is caught up: the device's clock must not slip against the wall's.
+            # Every delay is caught up: the device's clock must not fall behind wall time.
             now = time.monotonic()
             due += SLICE
             soonest = max(soonest + SLICE / _CATCH_UP, now - _AT_ONCE)
             time.sleep(max(0.0, max(due, soonest) - now))
 
     def _carry(self) -> None:
-        # Nobody may have opened the port, and nobody may read: bytes are then lost, as on a cable.
+        # If nobody has opened the port or reads from it, bytes are lost, as on a cable.
         events = self._end.poll(0) if self._plugged else []
         is_open = self._plugged and not (events and events[0][1] & select.POLLHUP)
         if is_open and not self._is_open:
@@ -183,7 +182,7 @@ def on_a_port(
     each_slice: Callable[[], None] = lambda: None,
     on_open: Callable[[], None] = lambda: None,
 ) -> Iterator[PtyBench]:
-    """The device behind a port, for as long as the context lasts."""
+    """A device behind a port, for a `with` block."""
     bench = PtyBench(device, each_slice, on_open)
     try:
         yield bench
@@ -202,21 +201,21 @@ class EmulatedBench:
 
     def __init__(self, uno: EmulatedUno, parameters: Parameters) -> None:
         self.uno, self.plant, self.pins = uno, Plant(uno, parameters), PinWatch(uno)
-        self.plant.run(_WARM_UP)  # compiles the physics before time begins
+        self.plant.run(_WARM_UP)  # compiles the physics before real time starts
         self.port: PtyBench
 
     def each_slice(self) -> None:
-        """What else passes when the Uno's time does."""
+        """Called after each slice of the Uno's time."""
         self.plant.advance()
         self.pins.look()
 
     @property
     def path(self) -> str:
-        """The port."""
+        """Path of the port."""
         return self.port.path
 
     def do(self, job: Callable[[], object]) -> float:
-        """Run `job` between two slices of time; when that was, in s of the Uno's clock."""
+        """Run `job` between two slices; the time of that in s of the Uno's clock."""
         times: list[float] = []
         self.port.do(lambda: (times.append(self.uno.time), job()))
         return times[0]
@@ -226,8 +225,8 @@ class EmulatedBench:
 def emulated_bench(
     parameters: Parameters, uno: EmulatedUno | None = None
 ) -> Iterator[EmulatedBench]:
-    """A bench in real time that is what the parameters say, as long as the context lasts; on an
-    Uno just powered up, built where there is none. Raises InputError: without the tools to."""
+    """A bench with these parameters in real time, for a `with` block; on an Uno just powered up,
+    which is built if none is given. Raises InputError: the tools to build it are missing."""
     with tempfile.TemporaryDirectory(prefix="emulated_uno_") as folder:
         uno = uno or build_uno(Path(folder))
         uno.electrics.bootloader_time = BOOTLOADER

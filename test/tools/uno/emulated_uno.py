@@ -1,6 +1,6 @@
 """An emulated Uno that runs the real firmware image, in virtual time.
 
-The processor is simavr's, wrapped by uno.c, which also holds the electrics at the pins.
+The processor is that of simavr, wrapped by uno.c, which also simulates the electrics at the pins.
 """
 
 import ctypes
@@ -23,7 +23,7 @@ _TWO = ctypes.c_double * 2
 
 
 class Switch(IntEnum):
-    """What a channel's transistor does."""
+    """Behaviour of a channel's transistor."""
 
     SOUND = 0
     STUCK_ON = 1
@@ -31,7 +31,7 @@ class Switch(IntEnum):
 
 
 class Relay(IntEnum):
-    """What the main relay's contact does."""
+    """Behaviour of the main relay's contact."""
 
     FOLLOWS = 0
     WELDED = 1
@@ -39,7 +39,7 @@ class Relay(IntEnum):
 
 
 class Reset(IntEnum):
-    """Why a processor starts anew: the bits of its register MCUSR."""
+    """Cause of a reset: bits of the register MCUSR."""
 
     POWER_ON = 1
     PIN = 2
@@ -60,14 +60,14 @@ _FIELDS = tuple((name, kind) for names, kind in _LAYOUT for name in names.split(
 NOMINAL = {
     "supply": 12.0, "supply_limit": math.inf, "resistance": (2.7,) * CHANNELS,
     "volts_per_ampere": (0.1, 0.1), "filter_time": 0.5e-3, "range_voltage": (1.5, 1.5),
-    "clipping": 25.0,  # where its output meets its own supply, at 100 mV/A
+    "clipping": 25.0,  # where its output reaches its supply, at 100 mV/A
     "noise": 2e-3, "divider": 4.0, "divider_time": 0.75e-6, "reference": 5.0, "bandgap": 1.1,
     "relay_time": 10e-3,
 }  # fmt: skip
 
 
 class Electrics(ctypes.Structure):
-    """What hangs on the pins; the fields mirror `struct electrics` of uno.c."""
+    """Electrics at the pins; the fields mirror `struct electrics` of uno.c."""
 
     _fields_ = _FIELDS
 
@@ -102,13 +102,13 @@ class EmulatedUno:
         return self.electrics.time
 
     def run(self, seconds: float) -> None:
-        """Let virtual time pass, to the end of what the processor does then: up to 0.1 ms more,
-        which the next run takes less."""
+        """Advance virtual time until the processor has finished its current work: up to 0.1 ms
+        more, by which the next run is shorter."""
         if not self._library.uno_run(self._uno, seconds):
             raise RuntimeError("the emulated processor gave up")
 
     def write(self, data: bytes) -> None:
-        """Bytes to the board's serial port, at its baud rate."""
+        """Send bytes to the board's serial port, at its baud rate."""
         self._library.uno_write(self._uno, data, len(data))
 
     def read(self) -> bytes:
@@ -119,22 +119,22 @@ class EmulatedUno:
         return received
 
     def hang(self, interrupts: bool) -> None:
-        """The program loses its way: an endless loop, with interrupts on or off."""
+        """Hang the program in an endless loop, with interrupts on or off."""
         self._library.uno_hang(self._uno, int(interrupts))
 
     def reset(self, why: Reset = Reset.PIN) -> None:
-        """Start anew: pins float, the bootloader waits `electrics.bootloader_time`, then the
-        program begins. Opening the port does it, by the reset pin. With power-on memory is
-        lost too, and a byte under way to the EEPROM becomes any."""
+        """Restart: pins float, the bootloader waits `electrics.bootloader_time`, then the program
+        starts. Opening the port causes this by the reset pin. At power-on, memory is lost, too, and
+        a byte that was being written to the EEPROM gets a random value."""
         self._library.uno_reset(self._uno, int(why))
 
     @property
     def storing(self) -> bool:
-        """Whether a byte is under way to the EEPROM, which takes 3.4 ms."""
+        """True while a byte is being written to the EEPROM, which takes 3.4 ms."""
         return bool(self._library.uno_is_storing(self._uno))
 
     def poke(self, address: int, value: int) -> None:
-        """A register takes a value by itself."""
+        """Set a register, as a fault."""
         self._library.uno_poke(self._uno, address, value)
 
 
@@ -150,7 +150,7 @@ _HEADERS = {"simavr/sim_avr.h": "libsimavr-dev", "libelf.h": "libelf-dev",
 
 
 def missing_tools() -> str:
-    """What the emulated Uno lacks on this computer, with Debian's names; "" for nothing."""
+    """Missing tools for the emulated Uno, with their Debian packages; "" for none."""
     packages = [package for name, package in _PROGRAMS.items() if shutil.which(name) is None]
     packages += [package for name, package in _HEADERS.items() if not (_INCLUDE / name).exists()]
     if not packages:
@@ -187,7 +187,7 @@ def build_emulator(folder: Path) -> Path:
 
 def _run(command: list[str]) -> None:
     process = subprocess.run(command, capture_output=True, text=True, check=False)
-    if process.returncode < 0:  # Ctrl-C is heard by the compiler too
+    if process.returncode < 0:  # Ctrl-C reaches the compiler, too
         raise KeyboardInterrupt
     if process.returncode:
         said = (process.stderr or process.stdout).strip().splitlines() or ["no reason given"]

@@ -1,10 +1,10 @@
-"""The emulated bench as a process: `serial_bridge` opens its port as it would a cable.
+"""The emulated bench as a process: `serial_bridge` opens its port like that of a real device.
 
     ./bench python test/tools/uno/node.py --port /tmp/uno [--namespace /bench] [--params FILE]
 
-Temperatures, which no Uno measures, come as the topics `<channel>/temperature` and
-`ambient/temperature`, without noise; with `--camera` the wires' as `<channel>/true_temperature`,
-for `synthetic_camera` to take pictures of.
+Temperatures, which the Uno does not measure, are published as `<channel>/temperature` and
+`ambient/temperature`, without noise; with `--camera`, those of the wires as
+`<channel>/true_temperature`, from which `synthetic_camera` makes its pictures.
 """
 
 import argparse
@@ -33,7 +33,7 @@ SWITCH = 1e-4
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Until SIGINT or SIGTERM; 2 after bad input, or without the tools to build an Uno."""
+    """Run until SIGINT or SIGTERM; returns 2 after wrong input, or without the tools for an Uno."""
     parser = argparse.ArgumentParser(prog="node.py", description=__doc__)
     parser.add_argument("--port", required=True, help="link to make to the emulated port")
     parser.add_argument("--namespace", default="/bench")
@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def publish(rig: Parameters, bench: object, name: str) -> None:
-    """The wires' and the air's temperatures for ever."""
+    """Publish temperatures of wires and air, for ever."""
     node = OverridableNode("emulated_bench")
     places = [*(f"{channel}/{name}" for channel in rig["bench.channels"]), "ambient/temperature"]
     publishers = [node.create_publisher(Temperature, place, READINGS) for place in places]
