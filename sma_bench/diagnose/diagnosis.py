@@ -107,7 +107,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
         {name: values[name] for name in names},
         {name: float(stds[name]) for name in names if stds[name] > 0.0})
 
-    progress("shrinkage on data that no fit saw")
+    progress("shrinkage on held-out data")
     errors = np.sqrt(np.diag(model.joint))[len(model.x) :]
     observations = model.problem.in_states(model.z, errors)
     lines += [text for one in observations for text in one.remarks]

@@ -130,11 +130,11 @@ def search(observations: Sequence[Observation], parameters: Parameters,
 
     recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
-        progress("recalibration was stuck: once more")
+        progress("effects again, as recalibration was stuck")
         singles = _singles(kinds, recalibrated, progress)
     if _surprises(recalibrated):
         # A fit may not find back to the stated parameters: start the most promising ones there.
-        progress("effects instead of surprising parameters")
+        progress("effects from the stated parameters")
         away, alike = problem.of_kind(STATE), problem
         if away.any():
             alike = problem.about(parameters, np.where(away, 0.0, recalibrated.z))
@@ -142,7 +142,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
         begun = _starts(kinds, fit(read, baseline, baseline.start(), rounds=0))[:_MOST_FROM_STATED]
         keep(in_threads(lambda kind, start: fit(alike, kind, start.x, far=True), begun))
 
-    progress("the best again, carefully")
+    progress("refining the best effects")
     ranked = sorted(singles.values(), key=by_evidence, reverse=True)
     gains = [found.evidence - recalibrated.evidence for found in ranked] or [0.0]
     limit = gains[0] - max(_NEAR, _CLOSE * gains[0])
@@ -152,14 +152,14 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     keep([*in_threads(_refined, worth), *instead])
     better, stuck = _again(baseline, recalibrated, singles)
     if stuck:
-        progress("recalibration was stuck: once more")
+        progress("effects again, as recalibration was stuck")
         keep(_singles(kinds, better, progress).values())
     recalibrated = max(better, _refined(better), key=by_evidence) if _nonlinear(better) else better
-    progress("pairs")
+    progress("pairs of effects")
     pairs = _pairs(baseline, singles, recalibrated)
 
     best = max([recalibrated, *singles.values(), *pairs.values()], key=by_evidence)
-    progress("what is left")
+    progress("residuals")
     fits = list(dict.fromkeys([recalibrated, best]))
     looks = flexible_residual, left_over, process_noise
     done = in_threads(lambda look, fitted: look(fitted), [(k, f) for k in looks for f in fits])

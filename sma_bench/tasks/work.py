@@ -23,8 +23,8 @@ _READING, _READING_BAGS = 0.2, 0.05  # share of the time for reading, about
 # Seconds that each step of `diagnose` takes for a record of a composite, by the name it reports.
 _PLAN = {
     "records": 0.1, "recalibration": 0.7, **dict.fromkeys(EFFECTS, 0.13),
-    "effects instead of surprising parameters": 1.5, "the best again, carefully": 0.6,
-    "pairs": 1.0, "what is left": 0.3, "shrinkage on data that no fit saw": 0.2,
+    "effects from the stated parameters": 1.5, "refining the best effects": 0.6,
+    "pairs of effects": 1.0, "residuals": 0.3, "shrinkage on held-out data": 0.2,
     "the next experiment": 0.8,
 }
 
