@@ -305,12 +305,12 @@ def make_folder(folder: Path) -> Path:
     return folder
 
 
-def claimed(name: str, said: str = "") -> socket.socket:
+def claimed(name: str, problem: str = "") -> socket.socket:
     """Claim a name on this machine until the socket is closed or the process ends. Names are
-    separate for each ROS domain, or for each `said`, which is also the error message. Waits a
+    separate for each ROS domain, or for each `problem`, which is also the error message. Waits a
     moment for a process that is ending. InputError: this or another process holds the name."""
-    said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
-    named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
+    problem = problem or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
+    named = hashlib.sha1(f"{problem}/{name}".encode("utf-8", "surrogateescape"))
     address = f"\0sma_bench/{named.hexdigest()}"
     end = time.monotonic() + _STILL_HELD
     while True:
@@ -327,7 +327,7 @@ def claimed(name: str, said: str = "") -> socket.socket:
                 asking.connect(address)
                 peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
                 holder = str(_PEER.unpack(peer)[0])
-            raise InputError(f"{name} is {said}: process {holder}")
+            raise InputError(f"{name} is {problem}: process {holder}")
         time.sleep(0.05)
 
 

@@ -336,9 +336,9 @@ class DeflectionController:
             side = linearised.side_toward(parameters, metres)
         except InputError as error:
             return f"reference: {error}"
-        said = f"reference is {metres:g} m"
+        message = f"reference is {metres:g} m"
         if side not in parameters["bench.channel_sides"]:
-            return f"{said}, but there is no wire on the {side}"
+            return f"{message}, but there is no wire on the {side}"
         largest = linearised.maximum_deflection(parameters, side)
         far = abs(metres) > largest
-        return f"{said}, expected at most {largest:.4g} m to the {side}" if far else ""
+        return f"{message}, expected at most {largest:.4g} m to the {side}" if far else ""

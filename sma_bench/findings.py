@@ -40,7 +40,7 @@ def fold_audit(findings: Sequence[Finding]) -> tuple[list[Finding], list[Finding
     others, audited = ([f for f in findings if f.audit == is_one] for is_one in (False, True))
     clashes = [f.subject for f in audited if f.severity != "info"]
     papers = sum(int(f.numbers.get("clashes", 0)) for f in audited)
-    said = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "no clash"
+    own_clashes = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "no clash"
     own = f"; the paper's own: {papers} clash" if papers else ""
-    line = f"stated parameters: {said}{own}; sma-bench audit lists them"
+    line = f"stated parameters: {own_clashes}{own}; sma-bench audit lists them"
     return others, [Finding("info", "audit", line), *audited] if audited else []

@@ -286,8 +286,8 @@ def parse_protocol(document: Any, parameters: Parameters, where: str = "", name:
             raise InputError(f"load is {load!r}, expected {', '.join(LOAD_KINDS)}")
         name = _text(document, "name") or name or quantity.what
         channels, segments = quantity.targets(parameters), tuple(_repeated(once, times))
-        rest, said = quantity.rest(parameters), _text(document, "description")
-        protocol = Protocol(name, channels, segments, said, rest, load)
+        rest, description = quantity.rest(parameters), _text(document, "description")
+        protocol = Protocol(name, channels, segments, description, rest, load)
         if protocol.pulls and (load != "force" or protocol.waits):
             expected = "expected load: force beside the steps, and no until"
             raise InputError(f"a step has a force, {expected}")
@@ -321,12 +321,12 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
     n |= {key: _number(step, key, "s", positive=True) for key in seconds}
     highest, most = parameters["bench.maximum_voltage"], parameters["bench.maximum_current"]
     for key in levels if quantity is VOLTAGE else ():
-        said, ohm = f"{key} is {n[key]:g} V", parameters["wire.resistance"]
+        message, ohm = f"{key} is {n[key]:g} V", parameters["wire.resistance"]
         if not 0.0 <= n[key] <= highest:
-            raise InputError(f"{said}, expected 0 to {highest:g} V")
+            raise InputError(f"{message}, expected 0 to {highest:g} V")
         if n[key] / ohm > most:
             drives = f"{n[key] / ohm:.3g} A through {ohm:g} ohm, expected at most {most:g} A"
-            raise InputError(f"{said}, which drives {drives}")
+            raise InputError(f"{message}, which drives {drives}")
     # Straight lines: label, duration, first and last level of the driven channels.
     rest = quantity.rest(parameters)
     if kind == "staircase":
@@ -347,8 +347,8 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
     elif drive in ("front", "back"):
         if drive not in sides:
             bench = f"a bench of {', '.join(channels)} ({', '.join(dict.fromkeys(sides))})"
-            said = f"drive is {drive}, but no channel is on that side"
-            raise InputError(f"{said}: the parameters describe {bench}")
+            message = f"drive is {drive}, but no channel is on that side"
+            raise InputError(f"{message}: the parameters describe {bench}")
         driven = [side == drive for side in sides]
     elif not isinstance(drive, list):
         raise InputError(f"drive is {drive!r}, expected front, back, all or a list of channels")
@@ -361,16 +361,16 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
         raise InputError("until: not possible in a triangle, write two ramps")
     with errors_in("until"):
         until = _until(step["until"], parameters) if "until" in step else {}
-    force, said = None, ""
+    force, pull = None, ""
     if "force" in step:
         force = _number(step, "force", "N")
         if not 0.0 <= force <= _LARGEST_FORCE or len(lines) > 1:
             expected = f"expected 0 to {_LARGEST_FORCE:g} N in a step of one line"
             raise InputError(f"force is {force:g} N, {expected}")
-        said = f"to {force:g} N"
+        pull = f"to {force:g} N"
     segments = []
     for part, duration, *ends in lines:
-        name = " ".join(filter(None, (label, part, said)))
+        name = " ".join(filter(None, (label, part, pull)))
         start, stop = (tuple(end if on else rest for on in driven) for end in ends)
         segments.append(Segment(name, duration, start, stop, until, force))
     return _repeated(segments, times)

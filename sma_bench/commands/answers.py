@@ -239,15 +239,15 @@ def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:
     terminal.write_json(args.json, {"kind": args.kind, "records": entries})
     rows, misfit = [], False
     for given, o in zip(args.records, outcomes, strict=True):
-        said, state = "", "failed" if o.error else "done"
+        summary, state = "", "failed" if o.error else "done"
         if o.result is not None and args.kind == IDENTIFY:
             found = o.result["parameters"].items()
-            said = ", ".join(f"{name} {entry['value']:.5g}" for name, entry in found)
+            summary = ", ".join(f"{name} {entry['value']:.5g}" for name, entry in found)
             if any(fit["verdict"] == "misfit" for fit in o.result["fit"].values()):
-                state, misfit, said = "misfit", True, f"{o.result['card'][0][1]}. {said}"
+                state, misfit, summary = "misfit", True, f"{o.result['card'][0][1]}. {summary}"
         elif o.result is not None:
-            said = ": ".join(filter(None, (o.result["verdict"], ", ".join(o.result["cause"]))))
-        rows.append((given, state, said, f"{o.seconds:.1f}"))
+            summary = ": ".join(filter(None, (o.result["verdict"], ", ".join(o.result["cause"]))))
+        rows.append((given, state, summary, f"{o.seconds:.1f}"))
     terminal.print_table(Table(("record", "", "result", "s"), rows, frozenset({3})))
     failed = [o for o in outcomes if o.error]
     terminal.print_findings(Finding("error", "batch", o.error) for o in failed)

@@ -248,12 +248,12 @@ def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
     yield f"The bench hid {effect} ({EFFECTS[effect].stage}): {sizes}."
     first = answer["candidates"][0]
     with_truth = [c for c in answer["candidates"] if effect in c["name"].split("+")]
-    said = f"First choice of the diagnosis: {first['name']}, probability {first['probability']:.2f}"
+    head = f"First choice of the diagnosis: {first['name']}, probability {first['probability']:.2f}"
     if first in with_truth:
-        yield f"{said}: right{'.' if first['name'] == effect else ', but not alone.'}"
+        yield f"{head}: right{'.' if first['name'] == effect else ', but not alone.'}"
     else:
         chance = sum(c["probability"] for c in with_truth)
-        yield f"{said}: WRONG; it gave the true cause {chance:.2f}."
+        yield f"{head}: WRONG; it gave the true cause {chance:.2f}."
     for name, true in numbers.items():
         if found := first["parameters"].get(name):
             off = f" ({_deviation(found, true):+.1f} standard errors)" if found["std"] else ""

@@ -214,11 +214,11 @@ def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> in
         return ended.exit_code
     except click.NoSuchOption as error:
         known = (o for p in whole.params for o in p.opts)
-        said = f"unknown option {error.option_name}{did_you_mean(error.option_name, known)}"
+        problem = f"unknown option {error.option_name}{did_you_mean(error.option_name, known)}"
     except click.UsageError as error:
         words = " ".join(error.format_message().split()).rstrip(".")
-        said = words[:1].lower() + words[1:]
-    raise InputError(f"{path.split()[-1]}: {said}; see {path} --help")
+        problem = words[:1].lower() + words[1:]
+    raise InputError(f"{path.split()[-1]}: {problem}; see {path} --help")
 
 
 def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None:

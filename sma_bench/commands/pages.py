@@ -33,7 +33,7 @@ def run_report(args: SimpleNamespace) -> int:
     about = {"command": args.command_line, "versions": versions(), "page": str(page)}
     write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
     for one in shown:
-        say(f"{one.path}: {one.said}")
+        say(f"{one.path}: {one.summary}")
     warnings = sum(len(one.warnings) for one in shown)
     say(f"warnings {warnings}\nreport   {page}, {page.stat().st_size / 1e6:.1f} MB")
     return 0

@@ -106,7 +106,7 @@ class ReportedInput:
 
     path: str
     kind: str
-    said: str
+    summary: str
     section: Section
     warnings: Sequence[str]
     sha256: str
@@ -114,7 +114,7 @@ class ReportedInput:
     answer: Section | None = None
 
     def to_json(self) -> dict[str, Any]:
-        return {"path": self.path, "kind": self.kind, "says": self.said, "sha256": self.sha256,
+        return {"path": self.path, "kind": self.kind, "says": self.summary, "sha256": self.sha256,
                 "bytes": self.size, "warnings": list(self.warnings)}
 
 
@@ -124,16 +124,16 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
     if not path.endswith(".json"):
         record = open_record(path, namespace)
         described = describe(record)
-        said = record_line(described)
+        summary = record_line(described)
         lines = [(f["severity"], f"{f['subject']}: {f['text']}") for f in described["findings"]]
         worth = [f"{path}: {text}" for severity, text in lines if severity != "info"]
         is_bag, figures = isinstance(record, Record), list[Picture]()
         if isinstance(record, Record):
             figures = _present(plots.record_picture(record, f"{name}_signals_over_time"))
-        section = Section(f"Record {path}", [f"{said}."], [": ".join(line) for line in lines],
+        section = Section(f"Record {path}", [f"{summary}."], [": ".join(line) for line in lines],
                           record_tables(described, name), figures)
         kind = "bag" if is_bag else "instrument file"
-        return ReportedInput(path, kind, said, section, worth, *digest(of_file))
+        return ReportedInput(path, kind, summary, section, worth, *digest(of_file))
 
     result = read_result(path)
     if isinstance(result, Identification):
@@ -155,10 +155,10 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
         warnings = [note for note in notes if not note.startswith("info")]
         tables = [replace(t, name=f"{name}_{t.name}") for t in diagnosis_tables(result).values()]
         section = Section(f"Diagnosis {path}", result.why, notes, tables)
-    (said,) = sentences(result, "headline")
+    (summary,) = sentences(result, "headline")
     worth = [f"{path}: {text}" for text in warnings]
     answer = Section(path, card=card(result, numbers=True))
-    return ReportedInput(path, kind, said, section, worth, *digest(of_file), answer)
+    return ReportedInput(path, kind, summary, section, worth, *digest(of_file), answer)
 
 
 def write_collected_report(directory: str | Path, title: str, shown: Sequence[ReportedInput],
@@ -168,7 +168,7 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
     section per input, and the parameters from `given`. InputError: the folder cannot be written."""
     cards = [one.answer for one in shown if one.answer is not None]
     cards = cards if len(cards) > 1 else [replace(section, title="") for section in cards]
-    rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
+    rows = [(str(k), one.path, one.kind, one.summary) for k, one in enumerate(shown, 1)]
     warnings = [text for one in shown for text in one.warnings]
     table = Table(("", "input", "kind", "result"), rows, frozenset({0}), "summary")
     head = f"{len(warnings)} warning{'s' if len(warnings) != 1 else ''}"
@@ -185,8 +185,8 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
         table = Table(header, rows, frozenset({1, 2}), "parameters")
         text = f"As given in {given}; all others as in docs/parameters.md."
         sections.append(Section("Parameters", [text], tables=[table]))
-    said = f"From {'; '.join(dict.fromkeys(one.path for one in shown))}."
-    return write_report(directory, title, said, sections, made, column=column, report=report)
+    sources = f"From {'; '.join(dict.fromkeys(one.path for one in shown))}."
+    return write_report(directory, title, sources, sections, made, column=column, report=report)
 
 
 def read_result(path: str | Path) -> Identification | DiagnosisResult:

@@ -193,8 +193,8 @@ class Investigation:
         for c in self.chapters:
             ranked = sorted(c.probabilities.items(), key=lambda pair: -pair[1])[:_MOST_SHOWN]
             likely = ", ".join(f"{name} {percent(p)}" for name, p in ranked if p >= 0.02)
-            said, then = ", ".join([c.verdict, *c.cause]), c.proposed.get("why", "")
-            rows.append((str(c.records), f"{c.minutes:.1f}", said, likely, then.partition(":")[0]))
+            named, then = ", ".join([c.verdict, *c.cause]), c.proposed.get("why", "")
+            rows.append((str(c.records), f"{c.minutes:.1f}", named, likely, then.partition(":")[0]))
         return rows
 
     def write_page(self, command: str = "") -> Path:

@@ -49,12 +49,12 @@ class Worker:
         self.process, self._ended = process, ""
         try:
             while True:
-                done, said = near.recv()
+                done, message = near.recv()
                 if done is True:
-                    return str(said)
+                    return str(message)
                 if done is False:
-                    raise InputError(said)
-                report(done, said)
+                    raise InputError(message)
+                report(done, message)
         except (EOFError, OSError):  # it was killed, perhaps while sending
             process.join()
             status = process.exitcode or 0
@@ -103,8 +103,8 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
         pipe.send((False, str(error)))
     except Exception as error:
         traceback.print_exc()
-        said = " ".join(str(error).split())
-        pipe.send((False, f"failed: {type(error).__name__}: {said}"))
+        reason = " ".join(str(error).split())
+        pipe.send((False, f"failed: {type(error).__name__}: {reason}"))
 
 
 def records_inside(settings: Mapping[str, Any], parameter: str = "record",
