@@ -1,4 +1,4 @@
-"""Makes the files of examples/ anew and prints what each is: ./bench python examples/make.py
+"""Makes the tables of examples/ and prints what each is: ./bench python examples/make.py
 
 All of them are synthetic: simulated by the package's own physics and written as instruments and
 loggers would export them.
@@ -50,7 +50,7 @@ _DSC_COLUMNS = """\tTime\tUnsubtracted\tBaseline\tProgram\tSample\tApprox.
 
 
 def main() -> None:
-    """Write every table; lab.yaml and rig.yaml beside them are written by hand."""
+    """Write every table. lab.yaml and rig.yaml are written by hand."""
     for folder, tables in TABLES.items():
         for name, what in tables.items():
             text = instrument_text(name, 8) if folder == "instruments" else logger_text(
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def instrument_text(name: str, every: int = 1) -> str:
-    """What an instrument exports under this name, of the calorimeter each so many readings."""
+    """The text of an instrument file; of DSC.txt only one reading in `every`."""
     if found := re.fullmatch(r"(\d+)_MPa\.txt", name):
         return _isobaric(float(found[1]))
     if found := re.fullmatch(r"(cold|hot)_(\d+)\.csv", name):

@@ -1,7 +1,7 @@
-"""What mkdocs does with these pages beside showing them: a hook (`hooks:` in mkdocs.yml).
+"""A hook of mkdocs (`hooks:` in mkdocs.yml), run at every build.
 
-Pages of the reference that the code itself tells are made here, at every build; patterns in the nav
-are filled in; pages that the nav does not name are put under "More".
+It makes the reference pages from the code, replaces patterns in the nav by pages, and puts pages
+that the nav does not name under "More".
 """
 
 import ast
@@ -34,7 +34,7 @@ _WIDTH = "96"
 _INK = "#010203"  # of equations; becomes the colour of the text around them
 
 
-# Wide tables fit: the page is wider, cells are narrower, and nothing is kept for an empty contents.
+# Wide tables fit: a wider page, narrower cells, and no space for an empty table of contents.
 _STYLE = """.md-grid { max-width: 76rem; }
 .md-sidebar--secondary:not(:has(li)) { display: none; }
 .md-typeset table:not([class]) { font-size: .66rem; }
@@ -72,7 +72,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
-    """Typeset the equations, ```math as GitHub has it: nothing is fetched, no script is run."""
+    """Typeset the equations (```math blocks, as on GitHub), without a script or a download."""
     if page.file.src_uri == "effects.md":
         markdown = re.sub(r"^    (?=\S)(.+)$", _plain_equation, markdown, flags=re.MULTILINE)
     return re.sub(r"^```math\n(.*?)\n```$", _typeset, markdown, flags=re.MULTILINE | re.DOTALL)
@@ -84,13 +84,13 @@ def on_page_content(html: str, **_: Any) -> str:
                   lambda found: re.sub(r"([._])", r"\1<wbr>", found[0]), html)
 
 
-# The effects' own texts are read on terminals too: their equations in letters that all have.
+# The effects' texts are also shown in terminals: their equations use plain letters.
 _SYMBOLS = {"inf": "infty", "eps": "epsilon"} | {
     name: name
     for name in ("alpha", "beta", "xi", "sigma", "delta", "tau", "nu", "sum", "exp", "min", "max")
 }
 _SHORT_WORDS = {"to", "at", "of", "its", "are", "the", "and", "two", "past", "over", "eq"}
-_MOST_WORDS = 6  # of a formula; what has more is a sentence, and stays one
+_MOST_WORDS = 6  # of a formula; a longer text is a sentence and is not typeset
 _TOKEN = re.compile(r"d(\w+)/dt|_([a-zA-Z]+)|([A-Za-z]+)|(<=)|(\.\.\.)|( +)")
 
 
@@ -154,13 +154,13 @@ def _numbers_by_size(path: str) -> list[Any]:
 
 
 def commands_page() -> str:
-    """Every command with what its --help prints."""
+    """Every command with the output of its --help."""
     os.environ["COLUMNS"], os.environ["NO_COLOR"] = _WIDTH, "1"
     lines = [
         "# Commands", "",
-        "What `sma-bench COMMAND --help` prints. In a checkout `./bench` stands for `sma-bench`. "
-        "Commands end with 0 on success, and with 2 and one line on bad input; a file that was "
-        "asked for appears whole or not at all.",
+        "The output of `sma-bench COMMAND --help`. In a clone, `./bench` replaces `sma-bench`. "
+        "Commands end with 0 on success, and with 2 and one line on bad input. An output file is "
+        "written completely or not at all.",
     ]  # fmt: skip
     for name in COMMANDS:
         command = load_command(name)
@@ -175,13 +175,13 @@ def python_page() -> str:
     classes = [n for n in api.__all__ if n[0].isupper()]
     lines = [
         "# Python", "",
-        "`import sma_bench` gives these names, in SI units; they are imported at the first use. "
-        "[A notebook](../tutorials/notebook.md) shows them at work.",
+        "`import sma_bench` gives these names, in SI units; each is imported at its first use. "
+        "Examples are in [the notebook](../tutorials/notebook.md).",
         "", "## Functions",
     ]  # fmt: skip
     for name in functions:
         lines += ["", f"::: {_home(name)}"]
-    lines += ["", "## What they give"]
+    lines += ["", "## Results"]
     for name in classes:
         lines += ["", f"::: {_home(name)}"]
     return "\n".join(lines) + "\n"
@@ -200,8 +200,8 @@ def nodes_page() -> str:
         "# Nodes", "",
         "`ros2 run sma_bench NODE`, or `sma-bench run NODE` without a ROS 2 installation. Names "
         "are relative to the namespace; `~` is the node itself. Every node takes "
-        "[the parameters of the bench](../parameters.md) too, and sends 0 V at its end if it "
-        "drives. [Topics](../topics.md) has types and units.",
+        "[the parameters of the bench](../parameters.md) too, and a node that drives sends "
+        "0 V when it ends. [Topics](../topics.md) lists types and units.",
     ]  # fmt: skip
     for node, table in NODE_TABLES.items():
         lines += ["", f"## {node}"]
@@ -212,7 +212,7 @@ def nodes_page() -> str:
 
 
 def _first_line(node: str) -> str:
-    """What a node says of itself, for one that shares its row of the table with another."""
+    """The first line of a node's docstring: for a node without its own row in the table."""
     module, _, kind = NODES[node].partition(".")
     source = ast.parse((ROOT / "sma_bench" / "nodes" / f"{module}.py").read_text())
     (found,) = (n for n in source.body if isinstance(n, ast.ClassDef) and n.name == kind)
@@ -220,17 +220,17 @@ def _first_line(node: str) -> str:
 
 
 def node_rows(page: str) -> dict[str, list[str]]:
-    """What that page's table says of each, cell by cell."""
+    """The cells of each node's row in that page's table."""
     rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", page, re.MULTILINE)
     return {node: [cell.replace("](", "](../") for cell in cells] for node, *cells in rows}
 
 
 def errata_page() -> str:
-    """The paper's slips, printed and corrected, with the numbers that `sma-bench paper` prints."""
+    """The paper's errata, printed and corrected, with the numbers of `sma-bench paper`."""
     lines = [
         "# Errata of the paper", "",
-        "Where the paper is wrong, and what the package computes instead, with the paper's "
-        "numbers. Geometry, C_A and C_M, which it does not give, are [assumed](../parameters.md).",
+        "Errors of the paper, and the formulas that the package uses instead, with the paper's "
+        "numbers. Geometry, C_A and C_M are not in the paper and are [assumed](../parameters.md).",
     ]  # fmt: skip
     for erratum in paper_errata():
         lines += [
@@ -247,7 +247,7 @@ def _row(*cells: str) -> str:
 
 
 def _shown(output: dict[str, Any]) -> list[str]:
-    """What a cell showed: a picture, a table, or text."""
+    """The output of a cell: a picture, a table, or text."""
     data = output.get("data", {})
     if "image/png" in data:
         return [f'<img alt="figure" src="data:image/png;base64,{data["image/png"]}">']
