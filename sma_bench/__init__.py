@@ -41,7 +41,7 @@ def __dir__() -> list[str]:
     return ["__version__", *__all__]
 
 
-Drawn.drawing_room = lambda module: import_module(f"sma_bench.report.{module}")
+Drawn.import_report = lambda module: import_module(f"sma_bench.report.{module}")
 for _name in __all__:
     setattr(_Package, _name, _on_first_use(_name))
 sys.modules[__name__].__class__ = _Package

@@ -1,6 +1,6 @@
 """`plot()` and `report()` as methods of records, simulations, overlays and results. They call the
 package `report`, which imports these types and matplotlib; so `sma_bench/__init__.py` passes it in
-as `drawing_room`, and it is imported at the first plot."""
+as `import_report`, and it is imported at the first plot."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 
 
 class Drawn:
-    """Something with a `plot` method; `drawing_room` imports a module of the package `report`."""
+    """Something with a `plot` method; `import_report` imports a module of the package `report`."""
 
-    drawing_room: ClassVar[Callable[[str], ModuleType]]
+    import_report: ClassVar[Callable[[str], ModuleType]]
 
     def plot(self, *what: str) -> Any:
         """A picture that a notebook shows, with the matplotlib `figure` and `save(path)` as PNG,
         SVG, PDF or CSV. `what`, optional: for a record, a simulation or an overlay, signals or
         quantities ("wire.current", "temperature"); for an identification "agreement"; for a
         diagnosis "signals", "where" or "evidence". Raises InputError: there is no such part."""
-        return Drawn.drawing_room("plots").picture_of(self, *what)
+        return Drawn.import_report("plots").picture_of(self, *what)
 
 
 class Reported(Drawn):
@@ -31,5 +31,5 @@ class Reported(Drawn):
         arguments of the function in `report`. Raises InputError: the folder cannot be written, or
         contains a foreign file of the same name."""
         module, function = self.writer
-        page: Path = getattr(Drawn.drawing_room(module), function)(folder, self, *more)
+        page: Path = getattr(Drawn.import_report(module), function)(folder, self, *more)
         return page

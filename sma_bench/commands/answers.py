@@ -96,7 +96,7 @@ def _asked(args: SimpleNamespace, records: Sequence[str]) -> Invocation:
 def _write_report(args: SimpleNamespace, result: Any, column: Any, *inputs: Any) -> None:
     """Write the page of a result if --report asks for one."""
     if args.report:
-        made = options.made_of(args, *inputs)
+        made = options.provenance_of(args, *inputs)
         with terminal.progress("drawing the report") as report:
             page = result.report(args.report, report, made, column)
         terminal.say(f"report {page}")
@@ -263,7 +263,7 @@ def run_investigate(args: SimpleNamespace) -> int:
     options.one_only(args, "simulated", "namespace")
     if not args.budget > 0.0:
         raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
-    options.written_by_nobody_else([Path(args.folder)])
+    options.claim_outputs([Path(args.folder)])
     case = Investigation(args.folder, args.budget, args.signals or QUANTITIES)
     case.begin(options.parameters_from_options(args), args.records)
     while True:

@@ -142,6 +142,6 @@ def run_linearise(args: SimpleNamespace) -> int:
 
         section = Section("", tables=tables, pictures=[operating_point_picture(model)])
         page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
-                            [section], options.made_of(args), column=column)
+                            [section], options.provenance_of(args), column=column)
         say(f"report {page}")
     return 0

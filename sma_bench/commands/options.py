@@ -149,7 +149,7 @@ class Command(click.Command):
             read = [p.name for p in self.params if p.name and not isinstance(p.type, Output)]
             given = paths_in(ctx.params.get(name) for name in read)
             try:
-                written_by_nobody_else(path for path, _ in written.values())
+                claim_outputs(path for path, _ in written.values())
                 keep_safe(written, given, bool(ctx.params.get("force")))
             except InputError:
                 ctx.close()
@@ -294,7 +294,7 @@ def ros_arguments(args: SimpleNamespace) -> list[str]:
     return ["--ros-args", *shlex.split(args.ros_args)] if args.ros_args else []
 
 
-def made_of(args: SimpleNamespace, *inputs: Sequence[str]) -> "Made":
+def provenance_of(args: SimpleNamespace, *inputs: Sequence[str]) -> "Made":
     """The provenance of a page: the command line, its inputs and its parameter file."""
     from sma_bench.report.page import Made
 
@@ -339,7 +339,7 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
             raise InputError(f"{path}: is not a bag; --force replaces bags only")
 
 
-def written_by_nobody_else(paths: Iterable[Path]) -> None:
+def claim_outputs(paths: Iterable[Path]) -> None:
     """Claim outputs until this command ends. InputError: another command is writing one."""
     for path in {path.resolve() for path in paths}:
         click.get_current_context().with_resource(claimed(str(path), "being written already"))

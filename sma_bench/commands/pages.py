@@ -69,7 +69,7 @@ def run_compare(args: SimpleNamespace) -> int:
                     Section("Differences from the first", tables=[table])]
         *others, last = found.records
         title = f"{', '.join(others)} and {last}, compared" if others else f"{last}, compared"
-        made = options.made_of(args, args.records, args.models)
+        made = options.provenance_of(args, args.records, args.models)
         with progress("drawing the page") as report:
             page = write_report(args.out, title, "", sections, made, column=column, report=report)
         say(f"report {page}")
@@ -82,7 +82,7 @@ def run_paper(args: SimpleNamespace) -> int:
     from sma_bench.records import open_record
     from sma_bench.report.page import write_report
 
-    started, made = time.monotonic(), options.made_of(args, args.records)
+    started, made = time.monotonic(), options.provenance_of(args, args.records)
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     given = ", ".join(args.records)
     own = ", ".join([*([args.params] if args.params else []), *args.overrides])
