@@ -85,7 +85,7 @@ def test_rooms_import_only_along_the_arrows_and_these_run_one_way():
     assert len((ROOT / "bench").read_text().splitlines()) <= LONGEST_FILE
 
 
-def test_the_judges_own_physics_borrows_little_from_the_package():
+def test_the_reality_of_the_examination_shares_little_with_the_package():
     known = modules() | modules(EXAMINATION)
     borrowed = {(name, target) for name, path in known.items() if name.startswith(INDEPENDENT)
                 for target in imports(name, path, known) if top(target) == PACKAGE}  # fmt: skip
@@ -100,7 +100,7 @@ def test_ruff_finds_nothing():
     assert process.returncode == 0, process.stdout + process.stderr
 
 
-def test_tests_that_are_run_again_or_first_are_there(request):
+def test_tests_that_are_listed_to_run_again_or_first_exist(request):
     own = request.config.pluginmanager.get_plugin(str(ROOT / "test" / "conftest.py"))
     for name, reason in own.RERUN.items():
         path, _, test = name.partition("::")

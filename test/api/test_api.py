@@ -82,7 +82,7 @@ def test_a_diagnosis_becomes_a_table(planted_diagnosis):
     assert table["probability"].sum() == pytest.approx(1.0)
 
 
-def test_models_have_names_an_experiment_may_be_one_and_a_machine_that_stands_says_so(staircase):
+def test_models_have_names_one_experiment_may_be_chosen_a_missing_motion_is_a_warning(staircase):
     model = {"wire.resistance": 3.0}
     assert list(sma_bench.compare(staircase, {"m": model}).records)[1:] == ["m"]
     nested, known = {"wire": {"resistance": 3.0}}, sma_bench.load_parameters(model)

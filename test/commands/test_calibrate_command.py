@@ -13,7 +13,7 @@ from sma_bench.hardware.bench_sensors import Calibration
 from sma_bench.parameters.yaml_file import read_parameter_names
 
 
-def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path, capsys):
+def test_the_residual_error_of_a_calibration_becomes_a_stated_uncertainty(tmp_path, capsys):
     out = tmp_path / "lab.yaml"
     name = "uncertainty.sensor.current.gain"
 

@@ -32,7 +32,7 @@ def refuse(capsys, *arguments):
 
 
 @pytest.mark.parametrize("line", REFUSED)
-def test_what_cannot_be_is_one_line_and_writes_nothing(line, tmp_path, capsys, monkeypatch):
+def test_wrong_commands_are_one_line_and_write_nothing(line, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sma_bench.commands.calibrate._CONNECTING", 0.3)
     said = refuse(capsys, *shlex.split(line.replace("ROOT", str(ROOT))))
@@ -65,7 +65,7 @@ def test_simulated_bag_holds_the_protocol_and_its_steady_state(tmp_path, capsys)
     assert len(refuse(capsys, "info", "x" * 5000)) < LONGEST_LINE + 30
 
 
-def test_a_machine_moves_as_its_bag_says_and_stands_in_a_protocol(tmp_path, capsys):
+def test_an_imposed_elongation_is_that_of_the_bag_and_zero_in_a_protocol(tmp_path, capsys):
     machine, bag, again = {"load.kind": "displacement"}, tmp_path / "bag", tmp_path / "again"
     time = np.arange(0.0, 30.0, 0.05)
     moved = np.interp(time, [3.0, 12.0, 24.0], [0.0, 5e-4, 1e-4])

@@ -20,7 +20,7 @@ LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
-def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_errors():
+def test_every_effect_can_be_hidden_in_a_bench_with_the_labs_stated_errors():
     drawn = [demo.hidden_bench(LAB, seed) for seed in range(60)]
     assert {demo.hidden_effect(bench)[0] for bench in drawn} == set(demo.HIDEABLE)
     assert dict(drawn[3]) == dict(demo.hidden_bench(LAB, 3))

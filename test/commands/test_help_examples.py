@@ -30,7 +30,7 @@ def test_help_shows_examples_that_the_command_takes(name, capsys):
         assert words[0] == name and check_command(words) == "", words
 
 
-def test_json_is_all_there_is_on_standard_output_unless_it_goes_to_a_file(tmp_path, capsys):
+def test_with_json_on_standard_output_there_is_nothing_else(tmp_path, capsys):
     for words in (["--json"], ["--json", "-"]):
         assert main(["audit", *words]) == 0
         printed = capsys.readouterr()
@@ -52,7 +52,7 @@ def test_json_is_all_there_is_on_standard_output_unless_it_goes_to_a_file(tmp_pa
 
 
 @pytest.mark.parametrize("columns", ["80", "40"])
-def test_what_commands_print_fits_and_names_can_be_looked_up(columns, capsys, monkeypatch):
+def test_tables_fit_the_terminal_and_names_are_not_folded(columns, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", columns)
     for command, names in (("effects", EFFECTS), ("parameters", BY_NAME), ("audit", ())):
         assert main([command]) == 0
@@ -87,7 +87,7 @@ def test_help_loads_nothing_heavy():
     ("simulate --effect ", list(EFFECTS)), ("audit --set wire.res", ["wire.resistance"]),
     ("run ", list(NODE_TABLES)), ("calibrate supp", ["supply"]),
 ])  # fmt: skip
-def test_a_shell_is_offered_what_may_follow(line, offered, monkeypatch, capsys):
+def test_shell_completion_offers_valid_words(line, offered, monkeypatch, capsys):
     words = line.split(" ")
     monkeypatch.setenv("_SMA_BENCH_COMPLETE", "bash_complete")
     monkeypatch.setenv("COMP_CWORD", str(len(words)))
@@ -104,7 +104,7 @@ def parsed(*words):
     return load_command(words[0]).make_context(words[0], list(words[1:])).params
 
 
-def test_several_values_of_an_option_stand_behind_it_or_behind_each_of_it():
+def test_several_values_follow_one_option_or_repeated_ones():
     wanted = ("a", "b")
     for words in (["--hold-out", "a", "b"], ["--hold-out", "a", "--hold-out", "b"]):
         found = parsed("diagnose", "bag", *words, "--params", "lab.yaml")

@@ -40,7 +40,7 @@ def investigate(lab, *more):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
-def test_a_record_that_names_nothing_is_followed_until_the_cause_is_named(lab, capsys):
+def test_an_inconclusive_record_is_followed_by_others_until_the_cause_is_named(lab, capsys):
     assert investigate(lab, "--budget", "0.1") == 0
     out = capsys.readouterr().out
     assert "budget spent: " in out and " after 1 record, 0.0 min" in out
@@ -72,7 +72,7 @@ def test_a_simulated_run_ends_at_zero_volts_when_a_wire_gets_too_hot():
     assert set(run._volts) == {0.0}
 
 
-def test_a_folder_is_begun_with_nothing_stated_and_one_of_other_things_stays(lab, tmp_path, capsys):
+def test_an_investigation_needs_no_stated_parameters_but_its_own_folder(lab, tmp_path, capsys):
     assert main(["investigate", "--folder", str(tmp_path / "new")]) == 0
     assert "next: growing_triangles_1" in capsys.readouterr().out
     (tmp_path / "gap").mkdir()
@@ -98,14 +98,14 @@ def tell(lab, folder, story):
 
 
 @pytest.mark.parametrize("story", DAMAGED)
-def test_a_story_that_someone_has_crafted_is_one_line(lab, tmp_path, capsys, story):
+def test_a_manipulated_history_is_an_error_of_one_line(lab, tmp_path, capsys, story):
     tell(lab, tmp_path, story)
     assert investigate(lab, "--folder", str(tmp_path)) == 2
     said = capsys.readouterr().err
     assert "investigation.json: damaged: " in said and said.count("\n") == 1
 
 
-def test_a_story_names_no_records_that_a_node_may_not_read(lab, tmp_path):
+def test_a_history_cannot_name_records_that_a_node_may_not_read(lab, tmp_path):
     tell(lab, tmp_path / "gap", {"given": [str(lab / "short")], "chapters": []})
     root = str(tmp_path)
     settings = {"record": [""], "record_root": root, "output_root": root, "folder": "gap",

@@ -87,7 +87,7 @@ def test_every_option_that_names_what_is_written_is_declared():
 
 
 @pytest.mark.parametrize(("name", "option", "kind"), outputs(FILE, FOLDER, BAG, NEW))
-def test_what_exists_is_not_replaced(name, option, kind, lab, refused):
+def test_existing_outputs_are_not_replaced(name, option, kind, lab, refused):
     target = lab / "given.csv" if kind == FILE else lab / "precious"
     other = lab / "other.csv"
     other.write_text("1,2\n")

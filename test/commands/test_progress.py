@@ -40,7 +40,7 @@ def test_the_time_left_follows_the_machine_and_never_stands_still(whole):
     assert min(falls) > quarter / 2
 
 
-def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():
+def test_without_a_terminal_progress_is_lines_on_standard_error():
     command = [sys.executable, "-c", WORK]
     process = subprocess.run(command, capture_output=True, text=True, check=True)
     assert process.stdout == "result\n"
@@ -49,7 +49,7 @@ def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():
     assert all(re.match(r"sma-bench: work: \d+%, .*\(数据 of", line) for line in lines)
 
 
-def test_a_terminal_gets_a_line_that_fits_and_vanishes():
+def test_on_a_terminal_progress_is_a_line_that_fits_and_disappears():
     ours, its = pty.openpty()
     environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "40"}
     command, seen = [sys.executable, "-c", WORK], b""

@@ -29,7 +29,7 @@ def asked(tmp_path, monkeypatch):
     return ask
 
 
-def test_a_loggers_table_and_what_its_lab_believes_become_one_page(asked, tmp_path):
+def test_a_logger_table_and_stated_parameters_become_one_page(asked, tmp_path):
     status, answer = asked(TABLE, "--params", LAB)
     assert status == 0
     assert answer["records"] == ["run_tried/run"] and Path("run_tried/run/metadata.yaml").is_file()
@@ -42,7 +42,7 @@ def test_a_loggers_table_and_what_its_lab_believes_become_one_page(asked, tmp_pa
         assert read_parameters(tmp_path / f"run_tried/{name}.yaml")["wire.resistance"] > 0.0
 
 
-def test_without_beliefs_there_is_no_gap_and_what_an_older_run_found_goes(asked):
+def test_without_parameters_no_gap_is_diagnosed_and_old_results_are_removed(asked):
     asked(TABLE, "--params", LAB, "--out", "first_look")
     old = Path("first_look/diagnosis.json").read_bytes()
     assert asked(TABLE, "--out", "first_look")[0] == 2
@@ -72,7 +72,7 @@ def test_a_column_in_doubt_is_asked_about_and_the_map_answers(asked, capsys):
     assert status == 0 and "wire.resistance" in answer["identified"]["parameters"]
 
 
-def test_what_is_no_table_ends_in_one_line_and_leaves_no_page(asked, capsys):
+def test_an_unreadable_file_is_an_error_of_one_line_and_leaves_no_page(asked, capsys):
     Path("notes.txt").write_text("remember to buy wire\n")
     assert asked("notes.txt")[0] == 2
     (line,) = capsys.readouterr().err.splitlines()

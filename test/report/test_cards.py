@@ -57,7 +57,7 @@ VERDICTS = ["effect", "ambiguous", "no_gap", "recalibration", "unexplained"]
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_every_verdict_has_a_title_of_its_own_and_a_next_step_that_knows_what_was_given(verdict):
+def test_every_verdict_has_its_own_title_and_a_next_step_that_fits_the_command(verdict):
     cause = ["supply_drop"] if verdict == "effect" else []
     result = diagnosed(verdict=verdict, cause=cause)
     assert (results.card(result).title == results.card(diagnosed()).title) == bool(cause)
@@ -73,7 +73,7 @@ def test_every_verdict_has_a_title_of_its_own_and_a_next_step_that_knows_what_wa
         assert ("page" if verdict == "unexplained" else "better.yaml") in after
 
 
-def test_numbers_stand_with_their_errors_apart_and_what_was_stated():
+def test_numbers_are_shown_with_both_errors_and_the_stated_value():
     resistance, ambient = results.number_rows(identified())
     off = ("2.7 ± 0.01", "+3.7 % (+3.7 std)")
     assert resistance == (WIRE, "2.8 ± 0.007 ± 0.024 ohm", "98 %", *off, "E1, warned")

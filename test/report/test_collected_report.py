@@ -58,7 +58,7 @@ def out(lab):
     return lab / "out"
 
 
-def test_a_page_of_everything_stands_alone_is_escaped_and_says_what_it_is_made_of(lab, out):
+def test_a_collected_page_is_self_contained_escaped_and_has_its_provenance(lab, out):
     raw = (out / "index.html").read_text()
     text = text_of(raw)
     # The curves as data, and the only script that the page's policy allows.
@@ -102,7 +102,7 @@ def test_a_bags_hash_follows_its_contents_and_names(tmp_path):
     assert digest(bag)[0] != before
 
 
-def test_figures_and_tables_are_there_for_papers_and_no_number_is_told_twice(out):
+def test_figures_and_tables_are_written_for_papers_and_no_number_appears_twice(out):
     assert {path.stem for path in out.glob("*.png")} == PICTURES
     assert {path.stem for path in out.glob("*.svg")} == PICTURES
     for path in out.glob("*.svg"):
@@ -123,7 +123,7 @@ def test_figures_and_tables_are_there_for_papers_and_no_number_is_told_twice(out
     ("a.txt", "hello", "neither a bag"), ("none.json", None, "cannot read"),
     ("a.json", json.dumps(DIAGNOSED | {"verdict": 3}), "verdict"),
 ])  # fmt: skip
-def test_what_is_no_result_is_one_line(name, content, said, tmp_path, lab, capsys):
+def test_a_file_without_a_result_is_refused_in_one_line(name, content, said, tmp_path, lab, capsys):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content if isinstance(content, bytes) else content.encode())

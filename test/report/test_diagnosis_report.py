@@ -45,19 +45,19 @@ def test_the_page_makes_the_argument_in_order_with_every_figure(page, planted_di
     assert text.count('src="data:image/png;base64,iVBOR') == len(names)
 
 
-def test_what_the_geometry_gives_is_believed_to_be_that(planted_diagnosis):
-    """Not the 0 in the file, which stands for it."""
+def test_a_value_that_follows_from_the_geometry_is_shown_instead_of_0(planted_diagnosis):
+    """In the file, 0 means: by the geometry."""
     name = "composite.deflection_per_strain"
     given = planted_diagnosis.parameters[name]
     file = planted_diagnosis.parameters.replace({name: 0.0})
     rows = {row[0]: row for row in improvements(replace(planted_diagnosis, parameters=file)).rows}
-    _, believed, _, _, moved = rows[name]
-    assert float(believed) == pytest.approx(given, rel=1e-5) and abs(float(moved)) < 3.0
+    _, stated, _, _, moved = rows[name]
+    assert float(stated) == pytest.approx(given, rel=1e-5) and abs(float(moved)) < 3.0
     assert not any(row[4] in ("+0.0", "-0.0") for row in rows.values())
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis, tmp_path):
+def test_an_unexplained_gap_shows_its_residual(planted_diagnosis, tmp_path):
     # The residual is due to heat between the sides; a sensor error may look similar.
     inputs = planted_diagnosis.search.inputs
     assert inputs["thermal"].gain > 5.0 and "thermal" in list(inputs)[:2]

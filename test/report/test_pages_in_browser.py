@@ -95,7 +95,7 @@ def time_shown(shown):
     return float(shown.page.evaluate(VALUES)[0])
 
 
-def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages):
+def test_figures_over_time_show_the_values_under_the_pointer(browser, pages):
     with opened(browser, pages["record"].as_uri(), DESKTOP) as shown:
         shown.until(DRAWN)  # in one of the next frames
         data = "document.querySelector('figure.curves script').textContent"
@@ -113,7 +113,7 @@ def test_figures_over_time_tell_the_values_under_the_pointer(browser, pages):
         assert shown.complaints == [] and shown.too_wide == []
 
 
-def test_without_the_script_and_on_white_paper_the_picture_stands_there(browser, pages):
+def test_without_the_script_and_in_print_the_picture_is_shown(browser, pages):
     seen = """[...document.querySelectorAll('figure.curves img, .view')]
         .map((e) => [e.tagName, e.getClientRects().length > 0])"""
     back = "getComputedStyle(document.body).backgroundColor"

@@ -115,7 +115,7 @@ def test_the_wires_figures_show_what_the_paper_measured(pictures):
     assert np.polyfit(points[:, 0], points[:, 1], 1)[0] == pytest.approx(-0.15, abs=0.01)
 
 
-def test_the_composites_figures_show_rests_and_what_is_left_at_their_ends(pictures):
+def test_the_composites_figures_show_rests_and_the_deflection_left_at_their_ends(pictures):
     runs = [composite_run(record, specimens.composite_rig(PAPER))
             for record in specimens.papers_records("composite", PAPER)]
     assert "specimen did not" in pictures[16][0].caption
@@ -261,7 +261,7 @@ def test_records_feed_the_figures_they_can_and_the_rest_stays_synthetic(other_wi
     assert float(re.search(r"rms error ([\d.]+)", labels)[1]) < 0.3
 
 
-def test_sorting_tells_what_each_record_is_good_for(other_wire):
+def test_records_are_sorted_by_the_figures_that_they_allow(other_wire):
     _, staircase, ramp = other_wire
     groups = ("validation", "clamped", "composite", "isobaric", "dsc", "tensile")
     made = {group: specimens.papers_records(group, PAPER) for group in groups}
