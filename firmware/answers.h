@@ -1,4 +1,4 @@
-/* One message at a time: begin, add, send. In text or binary, as the host asked last. */
+/* One message at a time: begin, add, send; as text or binary, as the host requested last. */
 #ifndef ANSWERS_H
 #define ANSWERS_H
 

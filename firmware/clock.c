@@ -1,5 +1,5 @@
-/* The two interrupts that time everything: each millisecond (Timer1), each PWM period (Timer0);
- * the time stamps, and who may feed the watchdog. */
+/* The two periodic interrupts, each millisecond (Timer1) and each PWM period (Timer0); time stamps;
+ * feeding the watchdog. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/wdt.h>
@@ -37,8 +37,8 @@ ISR(TIMER0_OVF_vect)
         outputs_follow(duty);
 }
 
-/* The watchdog is fed here and only when all lived: this interrupt, the main loop, and (which
- * safety_tick knows) the outputs' interrupt. */
+/* The watchdog is only fed here, and only if everything runs: this interrupt, the main loop, and
+ * the outputs' interrupt (checked by safety_tick). */
 ISR(TIMER1_COMPA_vect)
 {
     time_us += TICK_US;
@@ -54,7 +54,7 @@ uint32_t clock_us_in_interrupt(void)
 {
     uint16_t counts = TCNT1;
     uint32_t us = time_us;
-    /* The counter wrapped and the tick still waits for its turn. */
+    /* The counter has wrapped, but the tick's interrupt is still pending. */
     if ((TIFR1 & _BV(OCF1A)) && counts < OCR1A / 2)
         us += TICK_US;
     return us + counts / COUNTS_PER_US;

@@ -1,4 +1,4 @@
-/* What a lab may change: limits, sensors, pins. Each value may also be given to make:
+/* What a lab may change: limits and sensors. Each value may also be given to make:
  * make CONFIG="-DFRONT_MV_PER_A=185 -DMEAN_LIMIT_MA=3300" */
 #ifndef CONFIG_H
 #define CONFIG_H
@@ -15,7 +15,7 @@
 #define CHANNELS 4         /* front_1, front_2, back_1, back_2 */
 #define BOARDS 2           /* front, back: two channels and one current sensor each */
 
-/* Limits, ceilings of what the host may set for its rig (command C) and reads in the handshake. */
+/* Limits. The host reads them in the handshake and may set lower ones for its rig (command C). */
 #ifndef MAX_COMMAND_MV
 #define MAX_COMMAND_MV 10000
 #endif
@@ -32,25 +32,25 @@
 #define PEAK_LIMIT_MA 12000 /* both wires switched on at 12 V: 8.9 A */
 #endif
 #ifndef LEAST_MOHM
-#define LEAST_MOHM 1000 /* of any wire, a floor: what draws more than this explains is no wire */
+#define LEAST_MOHM 1000 /* lowest resistance of any wire: a larger current is a short circuit */
 #endif
 #ifndef USUAL_MOHM
-#define USUAL_MOHM 1890 /* which counts until the host says its wires' own: 0.7 of 2.7 ohm */
+#define USUAL_MOHM 1890 /* used until the host sets that of its wires: 0.7 of 2.7 ohm */
 #endif
 #ifndef HOT_MV
-#define HOT_MV 8000 /* of a wire, root of the mean square over HOT_MS */
+#define HOT_MV 8000 /* rms voltage of a wire over HOT_MS */
 #endif
 #ifndef HOT_MS
 #define HOT_MS 2000
 #endif
 #ifndef EXTRA_MA
-#define EXTRA_MA 80 /* of a board beyond what its outputs explain: noise of a tared mean */
+#define EXTRA_MA 80 /* of a board, above what its outputs explain: noise of the mean, zero removed */
 #endif
 #ifndef OFF_LIMIT_MA
 #define OFF_LIMIT_MA 500 /* of a board with its outputs off: an ACS712 may be 0.4 A off */
 #endif
 #ifndef RELAY_MS
-#define RELAY_MS 30 /* from the coil's current to a contact that bounces no more */
+#define RELAY_MS 30 /* from the coil's current until the contact has stopped bouncing */
 #endif
 #ifndef ON_TIME_DUTY_Q16
 #define ON_TIME_DUTY_Q16 6554 /* 0.10 counts as on: 3.8 V from 12 V */
@@ -76,8 +76,8 @@
 #define SUPPLY_DIVIDER 4 /* 3 kohm over 1 kohm: 20 V full scale */
 #endif
 
-#define REFERENCE_MV 5000 /* AVcc, which USB makes 4.75 to 5.1 V: measured with the next one */
-#define BANDGAP_MV 1100   /* the chip's own; 1.0 to 1.2 V, so calibrate the supply's reading */
+#define REFERENCE_MV 5000 /* AVcc, nominal; 4.75 to 5.1 V from USB, measured against BANDGAP_MV */
+#define BANDGAP_MV 1100   /* of the chip, nominal; 1.0 to 1.2 V: calibrate the supply's reading */
 #define ADC_STEPS 1024UL
 #define ADC_MIDDLE 512U /* an ACS71x at 0 A gives half its supply, which is the reference */
 

@@ -60,7 +60,7 @@ static void more_limits_line(void)
     add_named(PSTR(" supply_max_mv="), SUPPLY_MAX_MV);
 }
 
-/* The rest of an interrupted handshake goes out as soon as there is room. */
+/* Lines that did not fit are sent as soon as there is room. */
 void greet(void)
 {
     static void (*const lines[LINES])(void) = {name_line, limit_line, more_limits_line};

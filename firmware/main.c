@@ -22,6 +22,6 @@ int main(void)
     for (;;) {
         loop_lives();
         if (!session_run())
-            sleep_mode(); /* the next conversion wakes it, 0.1 ms on */
+            sleep_mode(); /* until the next conversion, within 0.1 ms */
     }
 }

@@ -7,7 +7,8 @@
 void start_init(void);
 void pwm_init(void);
 void outputs_follow(const uint16_t *duty); /* each PWM period */
-/* Boards that are on when a conversion samples which began so many counts of 4 us ago. */
+/* Bit mask of boards that are on when a conversion takes its sample, which began `ago` counts of
+ * 4 us ago; or UNSURE. */
 uint8_t outputs_at_sample(uint8_t ago);
 void serial_init(void);
 void clock_init(void);

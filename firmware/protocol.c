@@ -60,7 +60,7 @@ static bool parse_hex(const char *text, uint16_t *value)
     return true;
 }
 
-/* A decimal of 0 to 65535 without leading zeros, from *at; *at is left behind it. */
+/* A decimal of 0 to 65535 without leading zeros, from *at; *at ends behind it. */
 static bool parse_field(const char *text, uint8_t length, uint8_t *at, uint16_t *value)
 {
     uint8_t first = *at;

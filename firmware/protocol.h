@@ -1,4 +1,4 @@
-/* Bytes and numbers of docs/serial_protocol.md. Knows no hardware: compiled on the host too. */
+/* The protocol of docs/serial_protocol.md. Independent of the hardware: also compiled on the host. */
 #ifndef PROTOCOL_H
 #define PROTOCOL_H
 
@@ -66,11 +66,11 @@ void put_u32(struct message *message, uint32_t value);
 void put_decimal(struct message *message, uint32_t value);
 void put_signed(struct message *message, int16_t value);
 
-/* Make of the body a line, or a frame, ready to send. False when it does not fit. */
+/* Turn the body into a line or a frame, ready to send. False when it does not fit. */
 bool seal_text(struct message *message);
 bool seal_binary(struct message *message);
 
-/* Duty, in 1/65536, that heats like `millivolts` of direct voltage: (V / supply) squared. */
+/* Duty (1/65536) with the same heat as `millivolts` of direct voltage: (V / supply) squared. */
 uint16_t duty_of(uint16_t millivolts, uint16_t supply_mv);
 
 #endif

@@ -5,23 +5,23 @@
 #include "parts.h"
 
 /* Inverting fast PWM: low from the start of a period, high after the compare match. Unlike the
- * other polarity it knows a true zero (compare value 255), and the timer takes new compare values
- * over between two periods, so that a level of zero needs no switching in the middle of a pulse. */
+ * other polarity it has a true zero (compare value 255), and the timer loads new compare values
+ * between two periods, so that going to zero never cuts a pulse. */
 #define FRONT_OUTPUTS (_BV(COM0A1) | _BV(COM0A0) | _BV(COM0B1) | _BV(COM0B0))
 #define BACK_OUTPUTS (_BV(COM2A1) | _BV(COM2A0) | _BV(COM2B1) | _BV(COM2B0))
 #define D_PINS (_BV(PD6) | _BV(PD5) | _BV(PD3)) /* front_1, front_2, back_2 */
 #define B_PINS _BV(PB3)                         /* back_1 */
 #define COIL_PINS _BV(PD4)                      /* relay coil */
 
-/* Counts of 4 us from a conversion's start, known to two, to its sample: 1.5 of the converter's
- * clocks; the compare values are dithered by one. */
+/* Counts of 4 us from a conversion's start (known within two counts) to its sample, which is 1.5
+ * clocks of the converter later; the compare values are dithered by one. */
 #define SAMPLE_FIRST 3
 #define SAMPLE_LAST 6
 #define DITHER 1
-/* Counts of a pulse that a conversion meets often enough. */
+/* Counts of a pulse that is long enough for conversions to fall into it often. */
 #define LONG_PULSE 24
 
-_Static_assert(DUTY_LIMIT_Q16 + 256UL * LONG_PULSE < 65536, "a duty and what is carried overflow");
+_Static_assert(DUTY_LIMIT_Q16 + 256UL * LONG_PULSE < 65536, "duty plus carried part overflows");
 
 static uint16_t carried[CHANNELS];
 static volatile uint8_t gathering; /* boards, a bit each */
@@ -35,8 +35,8 @@ void outputs_off(void)
     OCR0A = OCR0B = OCR2A = OCR2B = 255;
 }
 
-/* A stop in the middle of a pulse leaves the compare unit's own flip-flop high, unseen at the pin
- * until the unit is connected again. A forced match, which only works outside PWM, clears it. */
+/* A stop in the middle of a pulse leaves the compare unit's flip-flop high; the pin would show it
+ * when the unit is connected again. A forced match, which only works outside PWM, clears it. */
 void outputs_prepare(void)
 {
     TCCR0A = _BV(COM0A1) | _BV(COM0B1);
@@ -89,7 +89,7 @@ bool outputs_make(uint8_t channel, uint16_t duty)
     return applied == set || applied == set + 1;
 }
 
-/* A pulse lasts from its compare match to the end of the period. */
+/* 1: on at the sample, 0: off. A pulse lasts from its compare match to the end of the period. */
 static uint8_t board_at_sample(uint8_t board, uint8_t ago)
 {
     if (!is_connected(board))
@@ -133,8 +133,8 @@ void pwm_init(void)
     TIMSK0 = _BV(TOIE0);
 }
 
-/* 16 bit of duty on 8 bit of PWM: what one period cannot give goes to the next. No conversion falls
- * surely into a pulse of small duty: while a load's drop is unknown, several become a long one. */
+/* 16 bit of duty on 8 bit of PWM: the remainder of one period is carried to the next. Conversions
+ * may miss the pulses of a small duty: while the supply's drop is unknown, several are joined. */
 static uint8_t compare_value(uint8_t channel, uint16_t duty)
 {
     uint16_t sum = duty ? duty + carried[channel] : 0; /* fits: the duty limit leaves room */

@@ -9,11 +9,11 @@
 #define STALL_MS 30
 #define NO_SAMPLES_MS 10
 #define NO_PULSE_MS 5
-#define OFF_MS 100 /* in which a mean forgets what flowed */
+#define OFF_MS 100 /* until a mean no longer contains the current from before */
 #define DIFFERENCES 3
 #define HEAT_TURN_MS CHANNELS
 #define ZERO_SHIFT 4 /* each board every 2 ms: 32 ms, twice as slow as a mean */
-#define NEW_ZERO 26 /* of 32 steps, 40 mA: half of what may flow unexplained */
+#define NEW_ZERO 26 /* 1/32 steps, 40 mA: half of the current that may flow unexplained */
 
 #define CURRENT_STEPS(ma, mv_per_a) ((uint32_t)(ma) * (mv_per_a) / 1000 * ADC_STEPS / REFERENCE_MV)
 #define CURRENT_MEAN(ma, mv_per_a) (CURRENT_STEPS((ma) * 16UL, mv_per_a) << (MEAN_SHIFT - 4))
@@ -38,11 +38,11 @@ static const uint16_t extra_mean[BOARDS] = {CURRENT_MEAN(EXTRA_MA, FRONT_MV_PER_
 static const uint16_t off_mean[BOARDS] = {CURRENT_MEAN(OFF_LIMIT_MA, FRONT_MV_PER_A),
                                           CURRENT_MEAN(OFF_LIMIT_MA, BACK_MV_PER_A)};
 
-/* The limits, and what follows from them in the converter's steps. */
+/* The limits, and the same in steps of the converter. */
 static struct limits limits;
 static uint16_t peak_steps[BOARDS], mean_steps[BOARDS];
 static uint16_t hot_square, hot_share;
-static uint32_t steps_per_mv[BOARDS]; /* through the least resistance, 1/32 step, times 16384 */
+static uint32_t steps_per_mv[BOARDS]; /* at the lowest resistance, 1/32 step, times 16384 */
 static uint16_t supply_low, supply_high;
 
 static struct safety self;
@@ -55,16 +55,16 @@ static uint8_t watched;
 static uint8_t closing_ms;   /* until the relay's contact is closed */
 static uint8_t off_ms;       /* since the outputs went off */
 static uint8_t unpulsed_ms;  /* since the outputs' interrupt */
-static uint8_t differences;  /* looks in a row that found another output than was set */
-/* What rounding takes away, its turn gives back: else a mean would stay where a pulse left it, up to
- * a step from where it belongs. */
+static uint8_t differences;  /* checks in a row that found another output than was set */
+/* Varies in each turn, so that rounding errors cancel: otherwise a mean would stay up to a step off
+ * its true value after a pulse. */
 static uint8_t rounding;
 static uint16_t current_mean[BOARDS]; /* readings times 32 */
 static uint16_t zero_mean[BOARDS];    /* the same with the relay open, slower, until arming */
-static uint16_t explained[BOARDS];    /* by the present duties */
-static uint16_t explained_mean[BOARDS]; /* as slow as the current's */
-static uint16_t square[BOARDS];         /* of the supply in a pulse */
-static uint32_t heat[CHANNELS];         /* mean square of a wire's volts, times 65536 */
+static uint16_t explained[BOARDS];    /* mean current explained by the present duties */
+static uint16_t explained_mean[BOARDS]; /* the same, filtered like the measured current */
+static uint16_t square[BOARDS];         /* supply voltage squared during a pulse */
+static uint32_t heat[CHANNELS];         /* mean square of a wire's voltage, times 65536 */
 static uint16_t supply_mean; /* readings times 32 */
 
 void safety_init(void)
@@ -179,7 +179,7 @@ const struct limits *safety_limits(void)
     return &limits;
 }
 
-/* No reference changes it: the sensors are ratiometric. */
+/* Independent of the reference, because the sensors are ratiometric. */
 uint16_t safety_explained(uint8_t board, uint16_t supply_mv, uint32_t duties)
 {
     uint32_t steps = (supply_mv * steps_per_mv[board]) >> 14;
@@ -214,9 +214,9 @@ const uint16_t *safety_duties(void)
     return NULL;
 }
 
-/* --- what the interrupts watch ---------------------------------------------------------------- */
+/* --- checks in the interrupts ----------------------------------------------------------------- */
 
-/* Time on, less time off: pauses count as cooling, and a dip does not start it anew. */
+/* Time on minus time off: pauses count as cooling, and a short one does not restart the count. */
 static bool on_for_too_long(uint8_t channel)
 {
     if (self.duty[channel] > ON_TIME_DUTY_Q16)
@@ -226,7 +226,7 @@ static bool on_for_too_long(uint8_t channel)
     return false;
 }
 
-/* The mean square of a wire's volts, which forgets as the wire cools, against what it may be. */
+/* Compares the mean square of a wire's voltage, which decays as the wire cools, with its limit. */
 static bool too_hot(uint8_t channel)
 {
     uint16_t now = (uint16_t)(((uint32_t)self.duty[channel] * square[channel / 2]) >> 16);
@@ -235,15 +235,15 @@ static bool too_hot(uint8_t channel)
     return heat[channel] >> 16 > hot_square;
 }
 
-/* A duty that has just changed needs a period. */
+/* Several checks in a row, as a duty that has just changed needs a period to be applied. */
 static bool output_differs(uint8_t channel)
 {
     differences = outputs_make(channel, closing_ms ? 0 : self.duty[channel]) ? 0 : differences + 1;
     return differences >= DIFFERENCES;
 }
 
-/* What a board's sensor says of nothing, for longer than a mean, whose noise would stay while armed;
- * anew where it says something else. */
+/* A board's reading without current, averaged for longer than current_mean, because its error stays
+ * while armed; starts again when the reading jumps. */
 static void learn_zero(uint8_t board)
 {
     int16_t change = (int16_t)(current_mean[board] - zero_mean[board]);
@@ -251,8 +251,8 @@ static void learn_zero(uint8_t board)
     zero_mean[board] += is_new ? change : (change + (rounding >> 1)) >> ZERO_SHIFT;
 }
 
-/* One channel each millisecond, so that this never keeps a serial byte waiting; the output of one
- * channel is looked at a few times before the next. */
+/* One channel each millisecond, so that a serial byte never has to wait; watch_an_output checks the
+ * output of one channel several times before the next. */
 static void watch_a_channel(void)
 {
     watched = (watched + 1) % CHANNELS;
@@ -306,15 +306,15 @@ void safety_loop_lives(void)
     stall_ms = 0;
 }
 
-/* With the relay's contact, or a hand's, closed and nothing driven: a switch that does not open. */
+/* Not armed, yet a current flows: the relay is closed (welded, or by hand) and a switch shorted. */
 static bool flows_while_off(uint8_t board)
 {
     return self.state != ARMED && off_ms >= OFF_MS &&
            distance(current_mean[board], ADC_MIDDLE << MEAN_SHIFT) > off_mean[board];
 }
 
-/* Armed, a mean beyond what the duties put through the least resistance, both as slow: a switch
- * that is stuck, or a short circuit that a sensor hides by clipping. */
+/* Armed, and the mean current is above what the duties can cause at the lowest resistance (filtered
+ * alike): a stuck switch, or a short circuit that clips the sensor. */
 static bool unexplained(uint8_t board, uint16_t now)
 {
     return self.state == ARMED &&

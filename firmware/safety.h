@@ -1,5 +1,5 @@
-/* The only way to a driven output. Every function is called from interrupts, or with them off.
- * Knows no hardware: compiled on the host too. */
+/* All outputs are driven through this file. Every function is called from interrupts, or with them
+ * off. Independent of the hardware: also compiled on the host. */
 #ifndef SAFETY_H
 #define SAFETY_H
 
@@ -8,7 +8,7 @@
 
 #include "config.h"
 
-/* The last is only reported: stopped, and current flows though every output is off. */
+/* STILL_FLOWING is only reported: stopped, but current flows with all outputs off. */
 enum state { IDLE = 0, ARMED = 1, STOPPED = 2, STILL_FLOWING = 3 };
 
 enum cause {
@@ -27,7 +27,7 @@ enum cause {
     HEAT_LIMIT = 12,
     PWM_STALLED = 13,
     OUTPUT_DIFFERS = 14,
-    /* Of an earlier start, known from trips.c alone. */
+    /* Only from trips.c, about an earlier start. */
     RESTARTED = 15,
     REASON_LOST = 16,
 };
@@ -35,7 +35,7 @@ enum cause {
 struct safety {
     uint8_t state;
     uint8_t cause; /* the first one; stays until reset */
-    uint8_t flows; /* boards with a current though their outputs are off, a bit each */
+    uint8_t flows; /* bit mask of boards with a current though their outputs are off */
     uint16_t duty[CHANNELS];
 };
 
@@ -49,11 +49,11 @@ struct limits {
     uint16_t hot_ms;
 };
 
-/* One command at the present supply: duties in 1/65536, and what they make at most. */
+/* One command at the present supply: duties in 1/65536, and their highest possible effects. */
 struct drive {
     uint16_t duty[CHANNELS];
-    uint16_t explained[BOARDS]; /* mean current through the least resistance, 1/32 step */
-    uint16_t square[BOARDS];    /* of the supply in a board's pulse, in (64 mV)^2 */
+    uint16_t explained[BOARDS]; /* mean current at the lowest resistance, 1/32 step */
+    uint16_t square[BOARDS];    /* supply voltage squared during a board's pulse, in (64 mV)^2 */
 };
 
 void safety_init(void);
@@ -64,17 +64,17 @@ bool safety_arm(void);
 void safety_disarm(void);
 bool safety_reset(void); /* false while current flows */
 
-/* False beyond config.h; not while armed. Takes long: with interrupts on. */
+/* False beyond config.h. Not to be called while armed. Slow, so call it with interrupts on. */
 bool safety_limit(const struct limits *limits);
 const struct limits *safety_limits(void);
 
-/* Mean current that a board's duties make at most, in 1/32 step of the converter. */
+/* Highest mean current that a board's duties can cause, in 1/32 step of the converter. */
 uint16_t safety_explained(uint8_t board, uint16_t supply_mv, uint32_t duties);
 
-/* `fresh`: a command came; else the same volts at another supply. */
+/* `fresh`: a new command; otherwise the same voltages at another supply. */
 bool safety_drive(const struct drive *drive, bool fresh);
 
-/* What the outputs may be now, each PWM period; NULL and off when nothing may be driven. */
+/* The duties to apply, each PWM period; NULL, with outputs off, when nothing may be driven. */
 const uint16_t *safety_duties(void);
 
 /* Each millisecond; true when the watchdog may be fed. */

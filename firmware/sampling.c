@@ -1,5 +1,5 @@
-/* The converter runs freely: no interrupt that comes late, least of all one of the PWM, chooses when
- * it samples, and its averages see every phase of a PWM period alike. */
+/* The converter runs freely, so that no late interrupt (least of all one of the PWM) shifts its
+ * samples, and its averages contain all phases of a PWM period equally. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <stddef.h>
@@ -11,57 +11,57 @@
 
 #define SLOTS 8 /* a power of two */
 
-/* Counts of 4 us from a conversion's end to the next one's; the first takes 25 clocks, not 13. */
+/* Counts of 4 us from one conversion's end to the next; the first takes 25 clocks, not 13. */
 #define CONVERSION 26
 #define FIRST_CONVERSION 50
-#define TOO_LATE 24 /* then it is not known any more which conversion's reading it is */
+#define TOO_LATE 24 /* it is then unknown which conversion a reading belongs to */
 
-/* Every fourth conversion of a board: 13/32 of a PWM period on, so 32 phases in turn. */
+/* Every fourth conversion is of the same board, 13/32 of a PWM period later: 32 phases in turn. */
 static const uint8_t turns[SLOTS] = {FRONT_CURRENT, BACK_CURRENT, SUPPLY, FRONT_RANGE,
                                      FRONT_CURRENT, BACK_CURRENT, SUPPLY, BACK_RANGE};
 /* Analog pin of each input: A0, A1 the boards, A4 the supply, A2, A3 the triangulation sensors. */
 static const uint8_t pins[INPUTS] = {
     [FRONT_CURRENT] = 0, [BACK_CURRENT] = 1, [SUPPLY] = 4, [FRONT_RANGE] = 2, [BACK_RANGE] = 3};
 
-/* The chip's own 1.1 V is slow to settle after a change of input, and says once and for all what
- * AVcc is: now and then a few conversions of it, of which the last count. */
+/* The chip's 1.1 V reference measures AVcc, but settles slowly after a change of input: now and then
+ * a burst of conversions of it, of which only the last count. */
 #define BANDGAP_PIN 14
-#define BURST 9 /* odd: conversions then meet 32 other phases of the pulses */
+#define BURST 9 /* odd: after it, conversions fall on 32 other phases of the pulses */
 #define BURST_COUNTED 4
 #define ROUNDS 128
-#define BANDGAP_SHIFT 8 /* as many counted ones are its mean */
+#define BANDGAP_SHIFT 8 /* its mean is over about 256 of those that count */
 #define DROP_SHIFT 5
-#define DROP_READINGS 8 /* make one that is known */
-#define TRIES 255 /* beside a board that is nearly always on, another is never alone */
-/* Readings for the main loop, which has the time to work with them; the oldest are lost. */
+#define DROP_READINGS 8 /* after so many a drop counts as known */
+#define TRIES 255 /* give up then: if one board is nearly always on, the other is never on alone */
+/* Readings queued for the main loop, which has the time to process them; the oldest are lost. */
 #define NOTED 16 /* a power of two */
 #define KIND_SHIFT 12
-#define OF_BANDGAP 4 /* else of the supply, with the boards that were on */
+#define OF_BANDGAP 4 /* other kinds: of the supply, a bit mask of the boards that were on */
 
 static uint8_t slot;
 static uint8_t running; /* input of the present conversion */
-static uint8_t following; /* of the next one: the converter takes it while one runs */
+static uint8_t following; /* of the next one: the converter is told while one runs */
 static uint8_t ended; /* count of Timer0 at the end of the last one, or up to two before */
 static uint8_t burst, rounds;
-static uint8_t lit; /* boards that are on when it samples */
+static uint8_t lit; /* bit mask of boards that are on at the sample, or UNSURE */
 static volatile uint16_t noted[NOTED];
 static volatile uint8_t noted_in;
 static uint8_t noted_out;
 static volatile uint16_t entropy_pool;
 
-/* In 1/1024 step, of the main loop alone. */
+/* Used by the main loop only; means in 1/1024 step. */
 static int32_t bandgap_mean;
 static uint16_t reference = REFERENCE_MV * 10U;
 static int32_t supply_mean; /* without load */
-static int32_t drops[BOARDS]; /* by a board that is on */
-static uint8_t learned[BOARDS]; /* readings of it */
+static int32_t drops[BOARDS]; /* of the supply by a pulse of this board */
+static uint8_t learned[BOARDS]; /* readings of that, up to DROP_READINGS */
 static uint8_t loaded; /* readings with any board on, up to TRIES */
-static uint32_t supply_sum; /* since it was asked for last, in 1/32 step */
+static uint32_t supply_sum; /* since sampling_supply_of_window, in 1/32 step */
 static uint16_t supply_count;
 
 static struct frame frames[2];
 static struct frame *growing = &frames[0];
-static bool is_ready; /* the one that is not growing holds a whole window */
+static bool is_ready; /* the other frame holds a complete window */
 static uint16_t sequence;
 static uint16_t lost;
 static uint16_t period_ms;
@@ -104,7 +104,7 @@ static void note(uint16_t reading, uint8_t kind)
     noted_in++;
 }
 
-/* Rounded: a mean that forgets slowly would stay an eighth of a step low. */
+/* Rounded: without this a slow mean would stay an eighth of a step too low. */
 static int32_t share(int32_t change, uint8_t shift)
 {
     return (change + (1L << shift >> 1)) >> shift;
@@ -119,12 +119,12 @@ static void take_bandgap(int32_t reading)
         shift = ++counted <= 1 ? 0 : counted < 8 ? 2 : counted < 32 ? 4 : 6;
     bandgap_mean += share(reading - bandgap_mean, shift);
     uint32_t found = BANDGAP_MV * 10UL * ADC_STEPS * 64 / ((uint32_t)share(bandgap_mean, 4) | 1);
-    /* Out of the data sheet's range it says nothing. */
+    /* Ignore values outside the data sheet's range. */
     if (found > REFERENCE_MV * 8UL && found < REFERENCE_MV * 12UL)
         reference = (uint16_t)found;
 }
 
-/* As a mean at first, which forgets later. */
+/* A plain mean of the first readings, later a running mean. */
 static uint8_t drop_shift(uint8_t board)
 {
     uint8_t count = learned[board];
@@ -134,8 +134,8 @@ static uint8_t drop_shift(uint8_t board)
     return count < 1 ? 0 : count < 2 ? 1 : count < 4 ? 2 : 3;
 }
 
-/* What a load takes from the supply it takes in pulses: readings are brought to no load, and the
- * drop by each board's pulse is kept. */
+/* Loads lower the supply only during their pulses: estimate the drop of each board, and correct
+ * readings to the supply without load. */
 static void take_supply(int32_t reading, uint8_t boards)
 {
     for (uint8_t board = 0; board < BOARDS; board++) {
@@ -178,7 +178,7 @@ void sampling_learn_drops(void)
 {
     for (uint8_t board = 0; board < BOARDS; board++) {
         learned[board] = 0;
-        drops[board] = 0; /* of a short circuit it would forbid every volt for good */
+        drops[board] = 0; /* the drop of a short circuit would forbid all voltages from then on */
     }
     loaded = 0;
 }
@@ -221,7 +221,7 @@ ISR(ADC_vect)
     }
 }
 
-/* The converter's noise, and the moment at which it is asked. */
+/* From the converter's noise and the time of the call. */
 uint16_t entropy(void)
 {
     uint16_t pool;
@@ -242,7 +242,7 @@ uint16_t sampling_supply(void)
     return (uint16_t)(supply_mean >> 4);
 }
 
-/* In a short window there may be no sure reading; then the mean over several. */
+/* A short window may contain no usable reading; then the running mean. */
 uint16_t sampling_supply_of_window(void)
 {
     uint16_t q6 = supply_count ? (uint16_t)(2 * supply_sum / supply_count) : sampling_supply();
@@ -261,8 +261,8 @@ static struct frame *other(void)
     return growing == &frames[0] ? &frames[1] : &frames[0];
 }
 
-/* The buffers only change roles here, no byte is copied: serial bytes come every 20 us. Without a
- * free buffer the window goes on, and the missing sequence number tells. */
+/* The buffers only change roles here, without copying: serial bytes arrive every 20 us. Without a
+ * free buffer the window continues, and the missing sequence number shows it. */
 void sampling_tick(uint32_t time_us)
 {
     if (!period_ms || ++elapsed_ms < period_ms)

@@ -1,4 +1,4 @@
-/* The serial port. One byte, wherever it comes, stops the bench before anything else is read. */
+/* The serial port. The stop byte, anywhere in the stream, stops the bench in the interrupt. */
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <util/atomic.h>
@@ -8,7 +8,7 @@
 #include "protocol.h"
 #include "safety.h"
 
-#define RECEIVE_SIZE 256 /* as much as a host says in 0.2 s */
+#define RECEIVE_SIZE 256 /* what a host sends in 0.2 s */
 #define SEND_SIZE 256
 #define LINES 32 /* a power of two */
 #define DIVIDER (F_CPU / (8 * BAUD_RATE) - 1)
@@ -20,14 +20,14 @@ static volatile uint8_t received[RECEIVE_SIZE];
 static volatile uint8_t receive_in, receive_out;
 static uint8_t sending[SEND_SIZE];
 static volatile uint8_t send_in, send_out;
-static uint32_t line_times[LINES]; /* when the line ends in `received` came */
+static uint32_t line_times[LINES]; /* arrival of the line ends in `received` */
 static volatile uint8_t lines_in, lines_out;
 static uint32_t line_time;
 static struct serial_counts counts;
 
 void serial_init(void)
 {
-    UCSR0A = _BV(U2X0); /* first: the emulator divides by what it is when the next is written */
+    UCSR0A = _BV(U2X0); /* first: the emulator reads it when UBRR0 is written */
     UBRR0 = DIVIDER;
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00);
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);

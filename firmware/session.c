@@ -16,18 +16,18 @@
 
 static struct line line;
 static uint16_t nonce;
-static bool has_nonce; /* somebody asked for it since the start */
+static bool has_nonce; /* a host asked for it since the start */
 static uint16_t session;
 static uint16_t sequence; /* of the last accepted voltage command */
 static uint16_t command_mv[CHANNELS];
 static uint32_t refreshed_us;
-static uint16_t unloaded, loaded[BOARDS]; /* mV of the supply, without load and in a pulse */
-static uint16_t limited_at; /* reference for which the supply's limits are worked out */
+static uint16_t unloaded, loaded[BOARDS]; /* mV of the supply, without load and during a pulse */
+static uint16_t limited_at; /* reference for which the supply's limits were computed */
 static uint16_t rejected;
 
 /* --- commands --------------------------------------------------------------------------------- */
 
-/* A new number for the next arming: bytes recorded earlier arm nothing. */
+/* A new number for the next arming, so that replayed bytes cannot arm. */
 static void renew_nonce(void)
 {
     uint16_t old = nonce;
@@ -93,12 +93,12 @@ static uint8_t arm(const uint16_t *field)
     return ACCEPTED;
 }
 
-/* Duties of volts at the supply that was measured last, and what they let flow at most. A duty
- * beyond its limit is OVER_DUTY, but filled in too. */
+/* Duties for voltages at the last measured supply, and the highest current that they can cause. A
+ * duty beyond its limit is OVER_DUTY, but filled in, too. */
 static uint8_t work_out(const uint16_t *millivolts, struct drive *drive)
 {
     uint8_t reason = ACCEPTED;
-    uint16_t least = unloaded - unloaded / 8; /* a larger drop is not believed to spare heat */
+    uint16_t least = unloaded - unloaded / 8; /* a larger drop does not reduce the counted heat */
     for (uint8_t board = 0; board < BOARDS; board++) {
         uint32_t duties = 0;
         for (uint8_t channel = 2 * board; channel < 2 * board + 2; channel++) {
@@ -149,7 +149,7 @@ static uint8_t drive(const uint16_t *field)
     return ACCEPTED;
 }
 
-/* The supply, and its limits in 1/32 steps of what USB makes of the reference. */
+/* The supply in mV, and its limits in 1/32 steps, by the measured reference (USB's voltage). */
 static void follow_reference(void)
 {
     uint16_t reference = sampling_reference();
@@ -159,7 +159,7 @@ static void follow_reference(void)
     if (reference == limited_at)
         return;
     limited_at = reference;
-    /* Volatile: no compiler may put these divisions where interrupts are off. */
+    /* Volatile, so that the compiler cannot move these divisions to where interrupts are off. */
     volatile uint16_t low = (uint16_t)((uint32_t)SUPPLY_MIN_MV * 10 / SUPPLY_DIVIDER * 32768 / reference);
     volatile uint16_t high = (uint16_t)((uint32_t)SUPPLY_MAX_MV * 10 / SUPPLY_DIVIDER * 32768 / reference);
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
@@ -168,7 +168,7 @@ static void follow_reference(void)
     }
 }
 
-/* Same volts, new supply. A duty beyond the limit goes through: the interrupt stops and says so. */
+/* Same voltages, new supply. A duty beyond the limit is passed on: the interrupt then stops. */
 static void follow_supply(void)
 {
     struct drive again;
@@ -203,7 +203,7 @@ static uint8_t reset(const uint16_t *field)
     (void)field;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
-        trips_look(); /* else this would forget what came since */
+        trips_look(); /* or a stop since the last look would be forgotten */
         forgotten = safety_reset();
     }
     if (!forgotten)
@@ -215,7 +215,7 @@ static uint8_t reset(const uint16_t *field)
     return ACCEPTED;
 }
 
-/* The interrupts read what follows from the limits only while armed. */
+/* Without turning interrupts off: they use these limits only while armed. */
 static uint8_t set_limits(const uint16_t *field)
 {
     const struct limits asked = {field[0], field[1], field[2], field[3], field[4], field[5]};
@@ -247,8 +247,8 @@ static uint8_t binary_frames(const uint16_t *field)
     return set_telemetry(true, field[0], BINARY_RATE_MAX);
 }
 
-/* Both ends of the answer's way through this device: when the question had arrived, and when the
- * answer will have left, behind all that still waits to be sent. */
+/* Two stamps: when the question had arrived, and when the answer will have left, after all bytes
+ * that are still queued. */
 static uint8_t ping(const uint16_t *field)
 {
     begin_message('P');
@@ -280,7 +280,7 @@ static uint8_t status(const uint16_t *field)
 static const struct {
     char name;
     uint8_t fields;
-    bool open; /* a person may type it without a checksum */
+    bool open; /* accepted without a checksum, so that it can be typed by hand */
     uint8_t (*run)(const uint16_t *field);
 } commands[] = {
     {'?', 0, true, hello},  {'S', 0, true, status},        {'A', 1, false, arm},
@@ -307,7 +307,7 @@ static void obey(void)
 {
     struct command command;
     if (!line.length && !line.overlong)
-        return; /* an empty line flushes what came before it */
+        return; /* an empty line: a host sends it to end an unfinished one */
     uint8_t reason = parse_command(&line, &command);
     char name = reason == ACCEPTED ? command.name : '-';
     if (reason == ACCEPTED)
@@ -331,13 +331,13 @@ void session_init(void)
     has_nonce = false;
     nonce = start_entropy();
     follow_reference();
-    serial_send((const uint8_t *)"\n", 1); /* ends what a reset cut off: the greeting is not a part of it */
+    serial_send((const uint8_t *)"\n", 1); /* ends a line that the reset cut off */
     greeting_start(0, false);
     sampling_set_period(1000 / BOOT_RATE);
 }
 
-/* Up to the next line end. A host that was kept waiting says all at once what it had to say: its
- * bytes, 20 us each, must not come faster than they are taken. */
+/* Up to the next line end. A host that was delayed sends much at once, a byte every 20 us: they must
+ * be taken as fast as they arrive. */
 static bool listen(void)
 {
     uint8_t byte;

@@ -5,6 +5,6 @@
 #include <stdbool.h>
 
 void session_init(void);
-bool session_run(void); /* one turn, never waits; false when there was nothing to do */
+bool session_run(void); /* one turn of the loop, never waits; false if there was nothing to do */
 
 #endif

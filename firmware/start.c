@@ -1,4 +1,4 @@
-/* What a start leaves behind: why, after what, with which memory. */
+/* The start: its reset cause, the stop before it, memory; and the EEPROM. */
 #include <avr/eeprom.h>
 #include <avr/io.h>
 #include <avr/wdt.h>
@@ -21,7 +21,7 @@ extern uint8_t _end;
 static uint16_t starts;
 static uint8_t before;
 
-/* Before the C runtime: a watchdog stays on after its reset, and would bite during start-up.
+/* Before the C runtime: a watchdog stays on after its reset, and would fire again during start-up.
  * Optiboot clears MCUSR and hands its value over in r2. */
 void first_of_all(void) __attribute__((naked, used, section(".init3")));
 void first_of_all(void)
@@ -39,14 +39,14 @@ void first_of_all(void)
     memory_hash = hash;
 }
 
-/* Counts the starts where they outlast the power: no two have the same number. */
+/* Counts the starts in EEPROM, so that each has its own number. */
 void start_init(void)
 {
     static uint16_t *const counter = 0;
     bool outlasted = remembered.mark == MARK && !(flags_at_reset & _BV(PORF));
     before = outlasted ? remembered.cause : 0;
     remember_cause(0);
-    trips_init(outlasted); /* before a byte is written: none can be read meanwhile */
+    trips_init(outlasted); /* first, as EEPROM cannot be read while a byte is written */
     starts = eeprom_read_word(counter) + 1;
     if (!(uint8_t)starts)
         eeprom_write_byte((uint8_t *)counter + 1, (uint8_t)(starts >> 8));
@@ -89,7 +89,7 @@ uint8_t reset_flags(void)
     return flags_at_reset & (_BV(PORF) | _BV(EXTRF) | _BV(BORF) | _BV(WDRF));
 }
 
-/* To four bytes: looking at every one would take half a millisecond. */
+/* To within four bytes: checking every one would take half a millisecond. */
 uint16_t stack_never_used(void)
 {
     uint16_t free = 0;

@@ -37,7 +37,7 @@ struct telemetry {
     uint16_t duty[CHANNELS];
 };
 
-/* Whole, if the output is what was set; else as read back. */
+/* The set duty (16 bit) if the output fits it; otherwise as read back (8 bit). */
 static uint16_t applied(uint8_t channel, uint16_t set)
 {
     return outputs_make(channel, set) ? set : (uint16_t)(outputs_register(channel) << 8);
@@ -107,7 +107,7 @@ bool report(uint16_t sequence)
     const struct frame *taken = sampling_take();
     if (!taken)
         return false;
-    /* Given back before the work: at 500 Hz the next one may end meanwhile. */
+    /* Release the buffer first: at 500 Hz the next window may end during the conversion. */
     const struct frame frame = *taken;
     sampling_release();
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)

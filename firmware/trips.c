@@ -7,18 +7,18 @@
 #include "safety.h"
 
 #define ACKNOWLEDGED 0x80 /* a bit of a record's cause */
-#define PLACE(slot) ((uint8_t)(16 + 16 * (slot))) /* the first bytes suffer most where power fails */
+#define PLACE(slot) ((uint8_t)(16 + 16 * (slot))) /* a failing supply damages the first bytes most */
 #define SLOTS 2
 #define BLANK 0xFF
 #define DONE (sizeof(struct record) + 1)
 #define TENTH_US 100000
 
-/* Its count is written first, as 0, and last: in between, no byte makes it a record. */
+/* Its count is written first, as 0, and last again: a record that is half written is not valid. */
 struct record {
     uint32_t at;
     uint8_t cause;
-    uint8_t count; /* 1 to 255, and again; of the newest it is one more than of the other */
-    uint16_t crc;  /* of what is before it */
+    uint8_t count; /* 1 to 255, and again; the newest record's is one more than the other's */
+    uint16_t crc;  /* of all before it */
 };
 
 #define COUNT offsetof(struct record, count)
@@ -26,17 +26,17 @@ struct record {
 _Static_assert(sizeof(struct record) == 8 && offsetof(struct record, crc) == 6, "it has no gaps");
 _Static_assert(REASON_LOST < ACKNOWLEDGED, "a cause and a bit do not fit a byte");
 
-/* No reset loses these. A loop that hangs leaves the time at which it was alive, and the inverse of
- * that where it was armed. */
+/* These survive a reset. `alive.at` is the last time at which the loop ran; `inverse` is its inverse
+ * if the device was armed then. */
 static struct record last OUTLASTS;
 static struct {
     uint32_t at, inverse;
 } alive OUTLASTS;
 
 static uint32_t tenth_us; /* when the present tenth of a second began */
-static bool is_seen;   /* the present stop */
-static uint8_t step;   /* in writing the last record */
-static uint8_t newest; /* slot of the newest that is whole, and its count */
+static bool is_seen;   /* the present stop has been noted */
+static uint8_t step;   /* in writing `last` */
+static uint8_t newest; /* slot of the newest valid record; then its count */
 static uint8_t count;
 
 static uint16_t check(const struct record *record)
@@ -66,7 +66,7 @@ static void note(uint8_t cause, uint32_t at)
     step = 0;
 }
 
-/* False where nothing was ever written. */
+/* False if nothing was ever written there. */
 static bool read_slot(uint8_t slot, struct record *record)
 {
     bool used = false;
@@ -78,8 +78,8 @@ static bool read_slot(uint8_t slot, struct record *record)
     return used;
 }
 
-/* Beside a record that is not open, one that is not whole was a trip: an acknowledgement follows
- * what it acknowledges. */
+/* If the valid record is acknowledged, a half-written one must have been a trip, because an
+ * acknowledgement is only written after the trip it belongs to. */
 void trips_init(bool outlasted)
 {
     struct record found[SLOTS];
@@ -109,7 +109,7 @@ void trips_init(bool outlasted)
         step = DONE;
     }
     alive.at = alive.inverse = 0;
-    tenth_us = 0; /* the clock begins anew, a little later */
+    tenth_us = 0; /* the clock starts from 0 a little later */
 }
 
 struct trip trips_last(void)
@@ -129,7 +129,7 @@ void trips_look(void)
         state = safety_now()->state;
         cause = safety_now()->cause;
     }
-    /* A host also says stop to make sure: that is no trip where nothing was armed. */
+    /* Hosts also send stop bytes to be safe: without arming that is no trip. */
     if (state == STOPPED && !is_seen && (armed || cause != STOP_BYTE_SEEN))
         note(cause, at);
     is_seen = state == STOPPED;

@@ -1,5 +1,5 @@
-/* The last trip, kept where it outlasts the power: why, and how long after a start. Two records in
- * turn, of which only the older one is ever written on. Knows no hardware: compiled on the host too. */
+/* The last trip, stored in EEPROM: its cause, and how long after a start. Two records in turn, of
+ * which only the older is overwritten. Independent of the hardware: also compiled on the host. */
 #ifndef TRIPS_H
 #define TRIPS_H
 
@@ -8,14 +8,14 @@
 
 struct trip {
     uint8_t cause; /* NO_CAUSE: there was none */
-    bool open;     /* nobody has acknowledged it */
-    uint32_t at;   /* 0.1 s after the start before it */
+    bool open;     /* not yet acknowledged */
+    uint32_t at;   /* 0.1 s, since the start before it */
 };
 
-void trips_init(bool outlasted); /* memory is as it was before a reset */
+void trips_init(bool outlasted); /* `outlasted`: memory is as it was before a reset */
 struct trip trips_last(void);
-void trips_look(void); /* whether there is a new one; the interrupts have switched off before */
+void trips_look(void); /* note a new trip; the interrupts have already switched off */
 void trips_acknowledge(void);
-void trips_follow(void); /* in each turn of the loop: looks, and begins a byte at most, never waits */
+void trips_follow(void); /* in each turn of the loop: looks, writes at most one byte, never waits */
 
 #endif

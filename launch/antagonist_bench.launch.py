@@ -1,4 +1,4 @@
-"""Antagonist rig: two wires on one slider: simulated, in one namespace.
+"""Antagonist rig (two wires on one slider), simulated, in one namespace.
 
 ros2 launch sma_bench antagonist_bench.launch.py speed:=10.0
 """

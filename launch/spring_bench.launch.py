@@ -1,4 +1,4 @@
-"""Spring rig: one wire against a spring: simulated, in one namespace.
+"""Spring rig (one wire against a spring), simulated, in one namespace.
 
 ros2 launch sma_bench spring_bench.launch.py speed:=10.0
 """

@@ -1,4 +1,4 @@
-"""Weight rig: one wire under a held force: simulated, in one namespace.
+"""Weight rig (one wire under a constant force), simulated, in one namespace.
 
 ros2 launch sma_bench weight_bench.launch.py speed:=10.0
 """

@@ -1,1 +1,1 @@
-"""A live page of a bench in the browser: what is shown, who may see it, the stop. No ROS."""
+"""A live page of a bench in the browser: its contents, access to it, the stop. No ROS."""

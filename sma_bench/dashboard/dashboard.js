@@ -1,5 +1,5 @@
-// The page: updates in, the stop out, and never an old number shown as a live one. Text only ever
-// enters the page as text.
+// The page: shows updates, sends the stop, and never shows an old number as a live one. Text is
+// inserted as text only, never as HTML.
 
 const SILENT = 1.5, NODE_SILENT = 4, CHANNELS_LATE = 3; // s; diagnostics come once a second
 const RETRY = 1000, STOP_PATIENCE = 8000; // ms
@@ -13,10 +13,10 @@ const quantities = JSON.parse(document.body.dataset.quantities);
 const get = (id) => document.getElementById(id);
 const all = (selector) => [...document.querySelectorAll(selector)];
 const clock = () => performance.now() / 1000;
-let page = null; // what this connection has brought
+let page = null; // the data of this connection
 let lastUpdate = null; // s of clock(), of any connection
 let socket = null;
-let failure = ""; // why the page does not show the newest update, whole
+let failure = ""; // why the page does not show all of the newest update
 
 function element(tag, text = "", className = "", ...children) {
   const made = document.createElement(tag);
@@ -37,7 +37,7 @@ function connect() {
   socket.onclose = () => setTimeout(connect, RETRY);
 }
 
-// What was not done to its end may have left old numbers anywhere on the page.
+// If `act` fails half-way, old numbers may be left anywhere on the page.
 function whole(act) {
   try {
     act();
@@ -61,7 +61,7 @@ function take(update) {
     signal.points = kept.filter(([time]) => time > update.now - update.span);
     page.points.set(key, signal.points);
   }
-  // A slow computer skips pictures, not updates.
+  // A slow computer skips drawings, not updates.
   if (!page.due) page.due = requestAnimationFrame(() => whole(show));
 }
 
@@ -84,12 +84,12 @@ function watch() {
   if (!measured.length || names.length) document.body.className = "waiting";
 }
 
-// Old numbers are not shown at all: a screen across the room has no grey.
+// Old numbers are hidden, not greyed: grey cannot be seen from across the room.
 function showLost(cut, silence) {
   document.body.className = "lost";
   get("connection").textContent = cut ?
-    `CONNECTION LOST ${silence.toFixed(0)} s ago: what is below is old` :
-    `LOST: this page cannot show what the bench sends (${failure}); what is below is old`;
+    `CONNECTION LOST ${silence.toFixed(0)} s ago: all below is old` :
+    `LOST: this page cannot show what the bench sends (${failure}); all below is old`;
   for (const old of all(".value")) old.textContent = "\u2013";
   for (const old of all("#meters .fill")) old.style.width = 0;
   get("protocol-text").textContent = cut ? "unknown: connection lost" : "unknown";
@@ -101,7 +101,7 @@ function showLost(cut, silence) {
   const stopped = get("stop-result");
   if (stopped.className !== "ok") return;
   stopped.className = "old";
-  stopped.prepend(element("p", "Of before the connection was lost:"));
+  stopped.prepend(element("p", "From before the connection was lost:"));
 }
 
 function show() {
@@ -136,7 +136,7 @@ function showProtocol(panels, now) {
   const whole = duration ? ` of ${duration.toFixed(0)} s` : " s";
   let text = running ? `${protocol}, ${step}: ${elapsed.toFixed(1)}${whole}` : state;
   if (late) text += ` \u2013 silent for ${(now - heard).toFixed(0)} s`;
-  if (!there) text = `${node} is not there any more (last: ${state})`;
+  if (!there) text = `${node} is gone (last: ${state})`;
   get("protocol-text").textContent = text;
   get("protocol-text").className = late || !there || state.startsWith("aborted") ? "silent" : "";
   get("protocol-bar").hidden = !duration || !running;
@@ -185,12 +185,12 @@ function showNodes(panels, now) {
     element("tr", "", "", element("td", name), element("td", text, level))));
   const stops = panels.stops || [], elsewhere = panels.elsewhere || [];
   get("stops").textContent = (stops.length ?
-    `STOP asks: ${stops.join(", ")}, and commands 0 V.` :
+    `STOP calls the stop services of ${stops.join(", ")} and commands 0 V.` :
     "STOP commands 0 V: no node here has a stop service.") +
     (elsewhere.length ? ` Other benches: ${elsewhere.join(", ")} (--namespace).` : "");
 }
 
-// Nothing here can end it: louder than all else, above the stop, until the node says otherwise.
+// No button can switch this current off: shown largest, above the stop, until the node's state ends.
 function showPlug(panels) {
   const flowing = Object.entries(panels.states || {})
     .filter(([, state]) => state.startsWith("still flowing"));
@@ -205,7 +205,7 @@ function showPlug(panels) {
     document.title.replace(/^PULL THE PLUG - /, "");
 }
 
-// A name may be broken at its dots and underlines; numbers and options may not.
+// Lines may break inside a name at dots and underscores, but not inside numbers and options.
 const broken = (name) => element("td", "", "", ...name.split(/(?<=[._])/)
   .flatMap((part) => [part, document.createElement("wbr")]));
 const unbroken = (tag, text, className = "") => element(tag, "", className,
@@ -240,15 +240,15 @@ function showWork(panels) {
 const colour = (name) => () => getComputedStyle(document.body).getPropertyValue(name);
 const plots = new Map();
 
-// Places once each: channels as the bench counts them, then the others by name.
+// Places without duplicates: channels in the bench's order, then the others by name.
 function inOrder(places, panels) {
   const channels = panels.channels || [];
   const rank = (place) => (channels.includes(place) ? channels.indexOf(place) : channels.length);
   return [...new Set(places)].sort((a, b) => rank(a) - rank(b) || a.localeCompare(b));
 }
 
-// A wire has one place in every list and one colour in all plots, as long as the page is open:
-// whatever comes, goes or is asked anew. The bench's own order is waited for.
+// A wire keeps its position in every list and its colour in all plots as long as the page is open,
+// even after reconnecting. Positions are given once the bench's own order is known, or is late.
 const life = [];
 
 function inLife(places) {
@@ -262,8 +262,8 @@ function inLife(places) {
   return inOrder(places, page.panels).sort((a, b) => rank(a) - rank(b));
 }
 
-// Its colour; and which it is of wires that are numbered alike (front_1, front_2) and mostly read
-// the same: the second is a thin line upon a wide one.
+// A wire's colour, and its role in a group of numbered wires (front_1, front_2), which mostly read
+// the same: the first is a wide line, the others thin ones on top of it.
 function look(place) {
   const wires = life.filter((name) => name !== "ambient");
   const index = place === "ambient" ? COLOURS - 1 :
@@ -325,7 +325,7 @@ const sizeOf = (box) => ({ width: box.clientWidth, height: box.clientHeight });
 
 function draw(shown, curves, unit, limit) {
   Object.assign(shown, { now: page.now, limit });
-  // A pause longer than SILENT is a gap; between the readings of others there is none.
+  // A pause longer than SILENT is a gap; times at which only other curves have readings are not.
   const data = uPlot.join(curves.map(({ points }) => {
     const broken = points.flatMap(([time, value], k) => (
       k && time - points[k - 1][0] > SILENT ? [[time - 1e-3, null], [time, value]] :
@@ -364,7 +364,7 @@ function draw(shown, curves, unit, limit) {
   }, data, shown.canvas);
 }
 
-// A limit that is far off would flatten the signal; the meters show it anyway.
+// A limit far above the signal would flatten it and is left out; the meters show it anyway.
 function room(low, high, limit) {
   if (low === null) [low, high] = [0, 1];
   if (limit !== undefined && high > 0.6 * limit) high = Math.max(high, limit);
@@ -385,7 +385,7 @@ function drawLimit(plot, limit) {
   ctx.restore();
 }
 
-// The values under the pointer, each that curve's own nearest.
+// The values at the pointer, of each curve the nearest.
 function showTip(plot, { tip, now }, unit) {
   const { left, idx } = plot.cursor;
   tip.hidden = left < 0 || idx === null;
@@ -416,12 +416,12 @@ async function stop() {
   get("stop").setAttribute("aria-busy", "true");
   showStop({ stopped: false, said: "Stop sent, waiting for the bench \u2026" });
   const result = await posted("stop") || { stopped: false, said: NO_ANSWER };
-  if (mine !== stops) return; // a later press will answer
+  if (mine !== stops) return; // a later press will show its own answer
   get("stop").removeAttribute("aria-busy");
   showStop(typeof result === "string" ? { stopped: false, said: NO_ANSWER } : result);
 }
 
-// The answer; a text where it is refused, null where there is none.
+// The answer; a text if the request is refused, null if there is no answer.
 async function posted(where, body) {
   try {
     const answer = await fetch(where, { method: "POST", body: body && JSON.stringify(body),
@@ -443,7 +443,7 @@ function showStop({ stopped, said, answers = [], voltages = {} }) {
       element("li", `${node}: ${success ? message : `FAILED: ${message}`}`))));
 }
 
-// After a stop that was confirmed: a voltage is news to everybody who saw that.
+// After a confirmed stop: warn everybody who saw it that a voltage is on again.
 function showAgain({ again }) {
   if (!again || again === told) return;
   told = again;

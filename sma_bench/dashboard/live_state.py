@@ -1,4 +1,4 @@
-"""What a page shows of a bench. One thread writes what it hears, any number of pages read."""
+"""The state of a bench that pages show. One thread writes it, any number of pages read it."""
 
 import json
 import math
@@ -14,9 +14,9 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness
 from sma_bench.results import in_unit, with_error
 
-SPAN = 60.0  # s that a trace remembers
-BUCKET = 0.1  # s of which only the least and the largest reading are kept
-_BEYOND = 1e9  # which no scale of a plot has room for
+SPAN = 60.0  # s, length of a trace
+BUCKET = 0.1  # s; of each only the smallest and the largest reading are kept
+_BEYOND = 1e9  # too large for the scale of a plot
 
 
 class Trace:
@@ -29,7 +29,7 @@ class Trace:
         self._least = self._largest = (0.0, 0.0)
 
     def add(self, time: float, value: float) -> None:
-        """Take a reading; NaN is heard, and leaves a gap."""
+        """Add a reading; a NaN counts as received and leaves a gap."""
         self.latest, self.heard = value, time
         if not math.isfinite(value):
             return
@@ -45,14 +45,14 @@ class Trace:
         self._bucket, self._least, self._largest = bucket, (time, value), (time, value)
 
     def since(self, count: int) -> tuple[int, list[tuple[float, float]]]:
-        """Points (time, value) after the first `count` of all time, and the count to ask next."""
+        """The count of points so far, and the points (time, value) after the first `count`."""
         missing = min(self._count - count, len(self._closed))
         return self._count, list(self._closed)[-missing:] if missing > 0 else []
 
 
 @dataclass(frozen=True)
 class ShownQuantity:
-    """How a quantity in SI units is shown: `factor` times it, less `zero`; and its limit's name."""
+    """How an SI quantity is shown (`factor` times it, minus `zero`), and the name of its limit."""
 
     title: str
     unit: str
@@ -61,7 +61,7 @@ class ShownQuantity:
     limit: str = ""
 
     def shown(self, value: float) -> float | None:
-        """A number in the unit of the page; None where there is none, or one beyond any bench."""
+        """A number in the page's unit; None if NaN or too large."""
         number = self.factor * value - self.zero
         return round(number, 5) if abs(number) < _BEYOND else None
 
@@ -76,8 +76,8 @@ QUANTITIES = {  # in the page's order
 _ORDER = list(QUANTITIES)
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
 FLOWING = "still flowing"
-NO_VOLTAGE = 0.05  # V below which a measured voltage is 0: noise and steps of the converters, 10 mV
-# Anybody may make topics and names without end.
+NO_VOLTAGE = 0.05  # V; below it a measured voltage counts as 0 (converter noise and steps: 10 mV)
+# Limits, as anybody may create any number of topics and names.
 _MOST_SIGNALS, _MOST_ENTRIES = 300, 200
 MEASURED, COMMANDED, MODEL = "measured", "commanded", "model"
 
@@ -86,22 +86,22 @@ class WireVoltage(NamedTuple):
     """The measured voltage of a wire; times in s of the state's clock."""
 
     volts: float  # the newest [V]
-    heard: float  # when that was heard
-    off_since: float  # since when all have been 0; inf while one is not
+    heard: float  # when that was received
+    off_since: float  # since when all readings have been 0; inf while one is not
     stamp: float  # of the newest, s of its source's clock
-    said: float  # when its source said anything last, were it the same reading again
+    said: float  # time of the last message, even if it repeats the reading
 
 
 @dataclass
 class Seen:
-    """What one page has been sent already."""
+    """What has already been sent to one page."""
 
     points: dict[tuple[str, str, str], int] = field(default_factory=dict)
     panels: dict[str, str] = field(default_factory=dict)
 
 
 class LiveState:
-    """Newest of everything; `clock` is in s and never goes back."""
+    """The newest values and panels; `clock` is in s and never goes back."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self.clock, self._lock = clock, threading.Lock()
@@ -112,15 +112,15 @@ class LiveState:
 
     def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED,
                 stamp: float | None = None) -> None:
-        """Take a reading in SI units. `stamp`: s of its source's clock, None: now; 0, set by none,
-        and the same one again, of a driver that hangs, confirm no stop."""
+        """Note a reading in SI units. `stamp`: s of its source's clock, None: now. A stamp of 0
+        (not set) or a repeated one (a driver that hangs) confirms no stop."""
         key, value = (quantity, place, kind), float(value)
         with self._lock:
             if key not in self._traces and len(self._traces) >= _MOST_SIGNALS:
                 return
             now = self.clock()
             fresh = self._fresh.setdefault(key, Freshness(place, SPAN))
-            if is_new := fresh.seen(stamp or math.nan, now):  # without one each is new
+            if is_new := fresh.seen(stamp or math.nan, now):  # without a stamp each is new
                 self._traces.setdefault(key, Trace()).add(now, value)
             if (quantity, kind) != ("voltage", MEASURED):
                 return
@@ -137,44 +137,43 @@ class LiveState:
                                          "seconds": round(now - self._stopped[place], 1)}
 
     def voltages(self) -> dict[str, WireVoltage]:
-        """By place."""
         with self._lock:
             return dict(self._voltages)
 
     def foreign(self) -> dict[str, str]:
-        """Of wires whose readings come from a node that takes no commands, that node's name."""
+        """Wires whose readings come from a node that takes no commands, and that node's name."""
         with self._lock:
             return dict(self._panels.get("foreign", {}))
 
     def stop_asked(self) -> None:
-        """A stop was asked for: what came of the last one is over."""
+        """A new stop is requested: forget the result of the last one."""
         with self._lock:
             self._stopped, self._panels["again"] = {}, None
 
     def stop_confirmed(self, places: Iterable[str]) -> None:
-        """Wires were commanded off: the panel `again` names the first that gets a voltage."""
+        """Wires are confirmed off: the panel `again` will name the first that gets a voltage."""
         with self._lock:
             self._stopped = dict.fromkeys(places, self.clock())
 
     def flowing(self) -> list[str]:
-        """Nodes whose newest state says that current flows though every output is off."""
+        """Nodes whose newest state reports a current with all outputs off."""
         with self._lock:
             states = self._panels.get("states", {})
             return sorted(node for node, state in states.items() if state.startswith(FLOWING))
 
     def show(self, panel: str, content: Any) -> None:
-        """Set what a panel shows: plain values that JSON has."""
+        """Set the content of a panel, as JSON values."""
         with self._lock:
             self._panels[panel] = content
 
     def merge(self, panel: str, content: Mapping[str, Any]) -> None:
-        """Set some entries of a panel that is a mapping."""
+        """Set some entries of a panel whose content is a mapping."""
         with self._lock:
             merged = {**self._panels.get(panel, {}), **content}
             self._panels[panel] = dict(list(merged.items())[:_MOST_ENTRIES])
 
     def update(self, seen: Seen) -> dict[str, Any]:
-        """What is new for a page since the last update it got; notes it in `seen`."""
+        """Changes for a page since its last update, which are noted in `seen`."""
         with self._lock:
             signals = []
             for key in sorted(self._traces, key=lambda key: (_ORDER.index(key[0]), *key[1:])):
@@ -196,8 +195,8 @@ def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
 
 
 def result_summary(node: str, text: str) -> dict[str, Any]:
-    """What is shown of the JSON that `identification` or `diagnosis` latches: `title` and `lines`
-    of its card and, of an identification, `rows` of name and number; or `problem`, a line."""
+    """The shown part of the result (JSON) of `identification` or `diagnosis`: `title` and `lines`
+    of its card, `rows` (name, number) of an identification; or `problem`, a line."""
     where, numbers = f"{node}/result", node == "identification"
     fields = {"card": A_LIST, **({"parameters": AN_OBJECT} if numbers else {})}
     try:

@@ -1,4 +1,4 @@
-"""The web server of the page: who may see it, files, a stream of updates, and the stop."""
+"""The web server of the page: access, files, a stream of updates, and the stop."""
 
 import asyncio
 import errno
@@ -26,11 +26,11 @@ from sma_bench.dashboard.live_state import QUANTITIES, Seen, WireVoltage
 from sma_bench.errors import InputError
 
 # Of a stop.
-_PATIENCE = 3.0  # s
-_STAYS_OFF = 1.0  # s of 0 V: longer than a command timeout, and than most pulses of a commander
-_SILENT = 1.0  # s after the last word of its source a wire is none of the bench's
-_LEAST_ADVANCE = 0.1  # of the time gone, of stamps: a simulation may be slow, a frozen clock is not
-_LOOK, _REPEAT = 0.005, 0.02  # s between two looks, and two commands of 0 V
+_STOP_TIMEOUT = 3.0  # s
+_STAYS_OFF = 1.0  # s of 0 V: longer than a command timeout, and than most pauses between pulses
+_SILENT = 1.0  # s without a message after which a wire no longer belongs to the bench
+_LEAST_ADVANCE = 0.1  # of stamps, per wall time: a simulation may be slow, but not frozen
+_LOOK, _REPEAT = 0.005, 0.02  # s between two checks; between two commands of 0 V
 UPDATE_PERIOD = 0.2  # s between two updates of a page
 _MOST_PAGES, _MOST_STRANGERS = 16, 32
 _IDLE = 30.0  # s without a whole request
@@ -49,8 +49,8 @@ _HEADERS = {
 
 
 class Access:
-    """Who may see a page served at `host`, and press its button. The token keeps other users and
-    programs out; the Host header pages by DNS rebinding; the Origin header every other web page."""
+    """Who may see a page served at `host` and press its button. The token keeps out other users and
+    programs, the check of the Host header DNS rebinding, that of Origin all other web pages."""
 
     def __init__(self, host: str) -> None:
         self.token = secrets.token_urlsafe(16)
@@ -60,24 +60,24 @@ class Access:
         self._names = {"localhost", "127.0.0.1", "::1", own.lower()}
 
     def refusal(self, host: str | None, origin: str | None, token: str) -> str:
-        """Why a request may not be answered, or ""; None: no such header; `token`: the path's."""
+        """Why a request is refused, or ""; None: no such header; `token`: from the path."""
         try:
             name = (urlsplit(f"//{host}").hostname or "") if host else ""
         except ValueError:
             name = ""
-        # A rebound name is a name: an address of numbers cannot be one.
+        # DNS rebinding needs a name: a numeric address is safe.
         if name not in self._names and not (self._everywhere and _address(name)):
             return f"the page does not answer under the name {name!r}"
-        # A browser sends Origin with what another page asks for, and with every POST.
+        # Browsers send Origin with requests of other pages, and with every POST.
         if origin is not None and origin.partition("://")[2] != host:
-            return "asked for by another web page"
+            return "request of another web page"
         if not hmac.compare_digest(token.encode(), self.token.encode()):
             return "wrong token: the address is the one that sma-bench dashboard printed"
         return ""
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches a server that listens on `host`."""
+    """True if only this computer can reach a server that listens on `host`."""
     address = _address(host)
     return host == "localhost" or (address is not None and address.is_loopback)
 
@@ -90,10 +90,10 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 class DashboardServer:
-    """Serves one bench, as `stop` takes it; only `url`, with its token, answers."""
+    """Serves one bench (see `stop`); only `url`, which contains the token, answers."""
 
     def __init__(self, bench: Any, title: str, host: str, port: int) -> None:
-        """Listen; port 0 is any that is free. Raises InputError: the address is not to be had."""
+        """Listen; port 0 is any free one. Raises InputError: the address is not available."""
         try:
             sockets = tornado.netutil.bind_sockets(port, host)
         except (OSError, OverflowError) as error:
@@ -123,12 +123,12 @@ class DashboardServer:
 
 
 class _Server(tornado.httpserver.HTTPServer):
-    """Keeps few connections open that have not shown the token: a stop must find room."""
+    """Limits connections that have not shown the token, so that a stop always finds room."""
 
     strangers: tuple[tornado.iostream.IOStream, ...] = ()
 
     def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple) -> None:
-        """A new connection; the oldest strangers make way for it."""
+        """A new connection; closes the oldest of those without the token."""
         known = [known for known in self.strangers if not known.closed()]
         for oldest in known[: -(_MOST_STRANGERS - 1)]:
             oldest.close()
@@ -137,7 +137,7 @@ class _Server(tornado.httpserver.HTTPServer):
 
 
 class _Guarded(tornado.web.RequestHandler):
-    """Answers nobody who may not see the page, whatever is asked for."""
+    """Refuses every request without access."""
 
     def initialize(self, server: DashboardServer) -> None:
         self.server = server
@@ -163,13 +163,13 @@ class _Guarded(tornado.web.RequestHandler):
             self.set_header(name, value)
 
     def write_error(self, status_code: int, **_: Any) -> None:
-        """One line, without what went wrong inside."""
+        """One line, without internal details."""
         self.refuse(status_code, tornado.httputil.responses.get(status_code, "error"))
 
 
 class _Nothing(_Guarded):
     def prepare(self) -> None:
-        self.refuse(404, "the address lacks its token: use the one printed")
+        self.refuse(404, "no token in the address: use the one that sma-bench dashboard printed")
 
 
 class _Page(_Guarded):
@@ -194,7 +194,7 @@ class _Stop(_Guarded):
 
 
 class _Work(_Guarded):
-    """Starts a computation on records; nothing here drives a wire."""
+    """Starts a computation on records; it drives no wire."""
 
     async def post(self, _: str) -> None:
         try:
@@ -212,7 +212,7 @@ class _Work(_Guarded):
 
 
 class _Live(_Guarded, tornado.websocket.WebSocketHandler):
-    """Sends what is new five times a second, to a slow page less often."""
+    """Sends changes five times a second, less often to a slow page."""
 
     def open(self, *_: str) -> None:
         if len(self.server.pages) >= _MOST_PAGES:
@@ -225,7 +225,7 @@ class _Live(_Guarded, tornado.websocket.WebSocketHandler):
         self.server.pages.discard(self)
 
     def on_message(self, _: str | bytes) -> None:
-        """A page has nothing to say here."""
+        """Messages from pages are ignored."""
 
     async def _send(self) -> None:
         seen = Seen()
@@ -242,13 +242,13 @@ def _read(name: str) -> bytes:
 
 
 class Wires:
-    """What the voltages say of a stop that was asked for at `begin`, s of the state's clock, after
-    the voltages `before`. A replayed bag, or a driver that hangs, confirms nothing: what counts was
-    acquired after the last reading before, by its own source's clock, where that goes on."""
+    """Judges by the voltages whether a stop requested at `begin` (s of the state's clock) worked;
+    `before`: the voltages before it. Only readings count whose stamps, on their source's clock, are
+    later than those before and go on: a replayed bag or a frozen driver confirms nothing."""
 
     def __init__(self, begin: float, voltages: Mapping[str, WireVoltage],
                  before: Mapping[str, WireVoltage], foreign: Mapping[str, str]) -> None:
-        """`foreign`: by wire, the node that its voltage is from, where that takes no commands."""
+        """`foreign`: wires whose voltage is from a node that takes no commands, and that node."""
         self._begin = begin
         self.live = {p: v for p, v in voltages.items() if v.said >= begin - _SILENT}
         self._foreign = {place: foreign[place] for place in self.live if place in foreign}
@@ -256,7 +256,7 @@ class Wires:
                 for place, v in self.live.items()}
         self._read = {place: v for place, v in self.live.items() if v.heard >= begin
                       and gone[place] > _LEAST_ADVANCE * (v.heard - begin)}
-        # That a voltage is on is believed of any reading, that it is off of new ones only.
+        # Any reading can show that a voltage is on; only new ones that it is off.
         self.on = [place for place, v in self.live.items() if math.isinf(v.off_since)]
         self.unclear = bool(self.on) or not self.live or self._read.keys() != self.live.keys()
 
@@ -265,7 +265,7 @@ class Wires:
 
     @property
     def stay_off(self) -> bool:
-        """Whether every live wire was read at 0 V, and nothing else, for long enough."""
+        """True if every live wire was read at 0 V, and nothing else, for long enough."""
         known = bool(self.live) and not self._foreign and self._read.keys() == self.live.keys()
         return known and all(self._off_for(v) >= _STAYS_OFF for v in self.live.values())
 
@@ -275,9 +275,9 @@ class Wires:
         return max([0.0, *(v.off_since - self._begin for v in self.live.values())])
 
     def sentence(self, asked: bool) -> str:
-        """What they say, where nodes were `asked`."""
+        """The result for the user; `asked`: stop services of nodes were called."""
         silent = ", ".join(sorted(self.live.keys() - self._read.keys()))
-        # Read for long enough, and not off for as long.
+        # Wires read for long enough, but not off for as long.
         late = ", ".join(sorted(place for place, v in self._read.items()
                                 if self._off_for(v) < _STAYS_OFF <= v.heard - self._begin))
         if self.on:
@@ -293,8 +293,8 @@ class Wires:
             after = f"{1e3 * self.seconds:.0f} ms after the request"
             return f"0 V read on {wires}, {after}, and nothing else for {_STAYS_OFF:g} s."
         if late:
-            since = f"less than {_STAYS_OFF:g} s ago"
-            return f"NOT STOPPED, voltage was on {since}: {late}. Use the emergency stop."
+            ago = f"less than {_STAYS_OFF:g} s ago"
+            return f"NOT STOPPED, voltage was on {ago}: {late}. Use the emergency stop."
         if self.live:
             return "Not confirmed: too few readings since the request. Look at the bench."
         if asked:
@@ -303,10 +303,10 @@ class Wires:
 
 
 async def stop(bench: Any) -> dict[str, Any]:
-    """Stop a bench, as `ros.dashboard.DashboardNode` is one, and say what came of it. 0 V is
-    commanded until the voltages are gone: a bench stops, too, whose commander has no service.
-    Returns `stopped`: every live wire was read at 0 V and stayed there, and no node says current
-    still flows; `said`: a sentence; `seconds` to 0 V or None; `voltages` [V]; nodes' `answers`."""
+    """Stop a bench (such as `ros.dashboard.DashboardNode`) and check the result. 0 V is commanded
+    until the voltages are gone, so that a commander without a stop service is stopped, too.
+    Returns `stopped`: every live wire was read at 0 V and stayed there, and no node reports a
+    flowing current; `said`: a sentence; `seconds` to 0 V or None; `voltages` [V]; `answers`."""
     clock = bench.state.clock
     begin = commanded = clock()
     before = bench.state.voltages()
@@ -315,14 +315,14 @@ async def stop(bench: Any) -> dict[str, Any]:
     futures, answered = bench.send_stop(), dict[str, float]()
     while True:
         voltages, now = bench.state.voltages(), clock()
-        before = voltages | before  # of a wire that was heard of since, its first reading
+        before = voltages | before  # for a wire that appeared since: its first reading
         wires = Wires(begin, voltages, before, bench.state.foreign())
         for node, future in futures.items():
             if future.done():
                 answered.setdefault(node, round(now - begin, 4))
-        nothing_to_see = not wires.live and now > begin + _SILENT
-        is_clear = len(answered) == len(futures) and (wires.stay_off or nothing_to_see)
-        if is_clear or now > begin + _PATIENCE:
+        no_wires = not wires.live and now > begin + _SILENT
+        is_clear = len(answered) == len(futures) and (wires.stay_off or no_wires)
+        if is_clear or now > begin + _STOP_TIMEOUT:
             break
         if wires.unclear and now > commanded + _REPEAT:
             commanded = now
@@ -333,8 +333,8 @@ async def stop(bench: Any) -> dict[str, Any]:
     answers = []
     for node, future in sorted(futures.items()):
         answer = future.result() if future.done() else None
-        said = str(answer.message) if answer else "no answer"
-        answers.append({"node": node, "success": bool(answer and answer.success), "message": said,
+        text = str(answer.message) if answer else "no answer"
+        answers.append({"node": node, "success": bool(answer and answer.success), "message": text,
                         "seconds": answered.get(node)})
     flowing = ", ".join(bench.state.flowing())
     plug = f"PULL THE PLUG: current still flows with every output off, says {flowing}."

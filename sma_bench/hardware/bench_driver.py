@@ -1,7 +1,8 @@
-"""Whether, and with what, the device may drive the bench. No ROS, no thread of its own.
+"""Enabling, driving and stopping the device. No ROS, no thread of its own.
 
-`idle` until someone enables it, `enabled` until someone stops it or a rule of safety.py breaks,
-`stopped`, for the first reason, until a reset. 0 V unless it is enabled and commanded afresh."""
+The state is `idle` until someone enables it, `enabled` until someone stops it or a rule of
+safety.py is broken, then `stopped`, with the first reason, until a reset. The outputs are at 0 V
+unless it is enabled and a command arrived within the command timeout."""
 
 import contextlib
 import math
@@ -16,22 +17,23 @@ from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus, Se
 
 REFRESH = 0.02  # s between commands to the device, whose own timeout is ten times that
 _LEAST_TIMEOUT = 3.0 * REFRESH
-# What the device is to allow beyond the rig's limits: times these, s, A of the peak over the mean.
-_PER_BOARD, _MARGIN, _HOTTER = 2, 1.2, 1.1
-_LEAST_HOT_TIME, _LEAST_STEP = 0.05, 0.1
+# Limits for the device (command C), from those of the rig.
+_WIRES_PER_BOARD = 2
+_MARGIN = 1.2  # factor on voltages and currents
+_HOT_MARGIN = 1.1  # factor on the voltage that holds a wire at its highest temperature
+_LEAST_HOT_TIME, _LEAST_STEP = 0.05, 0.1  # s; A, from the mean to the peak current
 
 T = TypeVar("T")
 
-# Checks of the self-test without which it is not enabled; tries, and s of the clock's error.
-NEEDED = ("connection", "supply", "currents", "relay", "stop")
-_TRIES, _MOST_CLOCK_UNCERTAINTY = 3, 2e-3
+NEEDED = ("connection", "supply", "currents", "relay", "stop")  # checks that must pass to enable
+_TRIES, _MOST_CLOCK_UNCERTAINTY = 3, 2e-3  # when an answer is late; s
 _CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
-# s of the device's clock from the last frame before the stop; of ours, in which such frames come.
-_STOP_WITHIN, _PATIENCE, _LOOK_EVERY = 0.6, 2.0, 0.005
+_STOP_WITHIN = 0.6  # s of the device's clock, from the last frame before the stop
+_FRAME_TIMEOUT, _POLL_PERIOD = 2.0, 0.005  # s of the host's clock
 
 
 class CheckResult(NamedTuple):
-    """One check of the self-test: what, how it ended, and the number behind it."""
+    """One check of the self-test: its name, its result, and the number behind it."""
 
     check: str
     passed: bool
@@ -51,7 +53,7 @@ class BenchDriver:
     def __init__(self, link: SerialLink, sensors: BenchSensors, guard: Guard,
                  channels: Sequence[str], limits: Limits, waiver: str = "",
                  pause: Callable[[float], None] = time.sleep) -> None:
-        """`waiver`: why nobody needs a self-test before enabling; "" to demand one."""
+        """`waiver`: why no self-test is needed before enabling; "" to demand one."""
         self._link, self._sensors, self._guard, self._pause = link, sensors, guard, pause
         self._channels, self._limits, self._waiver = channels, limits, waiver
         self._tested = -1  # number of the connection whose self-test passed
@@ -70,19 +72,19 @@ class BenchDriver:
         if self.enabled:
             return "enabled"
         status, fault = self._link.status, self._link.status.fault
-        # What a former host left: the device remembers why it stopped.
+        # The device remembers why it stopped, also under an earlier host.
         return f"stopped: {fault}" if fault and status.connected else fault or "idle"
 
     @property
     def flowing(self) -> str:
-        """The current that nothing here can switch off, "" for none."""
+        """Report of a current that flows with all outputs off, or ""."""
         status = self._link.status
         by_device = status.cause_text if status.state == messages.DeviceState.STILL_FLOWING else ""
         return (self._guard.flowing or by_device) if status.connected else ""
 
     @property
     def tested(self) -> str:
-        """Whether a self-test allows to enable."""
+        """State of the self-test: `passed`, `due`, or `waived: why`."""
         if self._waiver:
             return f"waived: {self._waiver}"
         return "passed" if self._tested == self._link.status.connections else "due"
@@ -92,7 +94,7 @@ class BenchDriver:
         return self._sensors.supply.apply(self._supply_reading)
 
     def diagnostics(self, now: float) -> dict[str, Any]:
-        """`applied`: V at the wires as the device says; none before the first reading."""
+        """`applied`: V at the wires by the last reading; empty before the first."""
         gate, applied = self.gate, self.newest.powers if self.newest else ()
         return {"state": self.state, "self_test": self.tested, "supply_volts": f"{self.supply:.2f}",
                 "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
@@ -101,10 +103,10 @@ class BenchDriver:
                 "rejected_commands": gate.rejected, "command_timeouts": gate.timeouts,
                 "last_rejection": gate.last_rejection}
 
-    # Requests; LinkError says why one must not be, or the device's refusal.
+    # Requests. LinkError: not allowed in this state, or refused by the device.
 
     def command(self, voltage: Sequence[float], now: float, sender: str = "") -> str:
-        """Take a sender's command (V, one a channel); the reason when it is rejected."""
+        """Take a sender's command (V, one per channel); returns why it is rejected, or ""."""
         if not self.enabled and any(voltage):
             return self.gate.refuse(f"not enabled ({self.state})")
         if not (reason := self.gate.command(voltage, now, sender)):
@@ -126,8 +128,8 @@ class BenchDriver:
             limit = self._limits.maximum_voltage
             highest = self._limits.reading(limit)
             if highest > device.maximum_voltage:
-                heats = f" and heats as {highest:.4g} V do" if highest != limit else ""
-                raise LinkError(f"bench.maximum_voltage is {limit:g} V{heats}, the device allows "
+                direct = f" (direct: {highest:.4g} V)" if highest != limit else ""
+                raise LinkError(f"bench.maximum_voltage is {limit:g} V{direct}, the device allows "
                                 f"{device.maximum_voltage:g} V")
             if device.command_timeout < _LEAST_TIMEOUT:
                 raise LinkError(f"the device's timeout is {device.command_timeout:g} s: too short")
@@ -138,23 +140,23 @@ class BenchDriver:
         self.gate.clear()
         if device:
             numbers = device_limits(self._limits, device, self.supply)
-            self._patiently(lambda: self._link.limit(numbers))
-        self._patiently(self._link.arm)
+            self._with_retries(lambda: self._link.limit(numbers))
+        self._with_retries(self._link.arm)
         self.enabled = True
 
     def stop(self, reason: str) -> None:
-        """Outputs off, at once and until a reset."""
+        """Switch the outputs off at once, until a reset."""
         self.enabled, self._tested = False, -1
         self._link.stop()
         self.gate.clear()
         self._stopped = self._stopped or reason
 
     def reset(self) -> None:
-        """Forget why it stopped; enabling is another request."""
+        """Clear the reason of the stop; does not enable."""
         self._require_stopped()
         if self.flowing:
             raise LinkError(self.state)
-        self._patiently(self._link.reset)
+        self._with_retries(self._link.reset)
         self._stopped = ""
         self._guard.recorder("")
         self._watch_shared_sensors()
@@ -168,12 +170,12 @@ class BenchDriver:
                         for wires in self._sensors.shared]
 
     def self_test(self) -> list[CheckResult]:
-        """Check what can be without driving; ends disabled, at 0 V. What is late is asked again."""
+        """Checks that need no driven output, with retries; ends disabled, at 0 V."""
         self._require_stopped()
         self._tested = -1
         status, newest = self._link.status, self.newest
         device = status.device
-        if status.left:  # which the test's own reset would acknowledge
+        if status.left:  # the test's own reset would acknowledge it
             raise LinkError(f"{self.state}; reset first")
         if not status.connected or newest is None or device is None:
             return [CheckResult("connection", False, status.problem or "no reading yet")]
@@ -191,9 +193,9 @@ class BenchDriver:
         rows += [(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
                  for side, distance in zip(SIDES, newest.distances, strict=True)
                  if side in self._sensors.range_sensors]
-        for name, test in (("relay", self._relay), ("stop", self._heard_stop)):
+        for name, test in (("relay", self._test_relay), ("stop", self._test_stop)):
             try:
-                rows.append((name, *self._patiently(test)))
+                rows.append((name, *self._with_retries(test)))
             except LinkError as error:
                 rows.append((name, False, str(error)))
         found = [CheckResult(*row) for row in rows]
@@ -201,8 +203,8 @@ class BenchDriver:
             self._tested = self._link.status.connections
         return found
 
-    def _patiently(self, ask: Callable[[], T], tries: int = _TRIES) -> T:
-        """What the device answers. Where that is late it is put to rest, and asked again."""
+    def _with_retries(self, ask: Callable[[], T], tries: int = _TRIES) -> T:
+        """The device's answer; when it is late, the device is stopped, reset and asked again."""
         try:
             return ask()
         except LateAnswer:
@@ -212,10 +214,10 @@ class BenchDriver:
                 self._link.reset()
             if tries == 1:
                 raise
-        return self._patiently(ask, tries - 1)
+        return self._with_retries(ask, tries - 1)
 
-    def _relay(self) -> tuple[bool, str]:
-        """With the relay closed and nothing driven, a switch that is stuck or inverted conducts."""
+    def _test_relay(self) -> tuple[bool, str]:
+        """Close the relay with all outputs off: a stuck or inverted switch would conduct."""
         self._link.arm()
         status = self._after(_CLOSED_FOR)
         if status.stopped:
@@ -224,8 +226,8 @@ class BenchDriver:
         most = max(map(abs, currents))
         return most < MOST_CURRENT_AT_REST, f"closed, nothing driven: at most {most:.2f} A"
 
-    def _heard_stop(self) -> tuple[bool, str]:
-        """The emergency stop must be heard, and be forgotten on request only."""
+    def _test_stop(self) -> tuple[bool, str]:
+        """Send an emergency stop: the device must stop, and name it as the cause."""
         self._link.stop()
         status = self._after(_STOP_WITHIN)
         if not status.stopped:
@@ -234,10 +236,10 @@ class BenchDriver:
         return status.cause == messages.STOP_CAUSE, f"stopped by its {status.cause_text}"
 
     def _after(self, seconds: float) -> LinkStatus:
-        """The device's state so many s of its own clock from here, or once it has stopped. Raises
-        LateAnswer: its frames do not come, or it heard no command in time: nothing was tested."""
+        """The device's state `seconds` later by its own clock, or as soon as it has stopped.
+        LateAnswer: no frames, or the device timed out without a command: nothing was tested."""
         before = self._link.status.newest
-        for _ in range(round(_PATIENCE / _LOOK_EVERY)):
+        for _ in range(round(_FRAME_TIMEOUT / _POLL_PERIOD)):
             status, passed = self._link.status, 0.0
             if status.stopped and status.cause == messages.TIMEOUT_CAUSE:
                 raise LateAnswer(f"stopped by its {status.cause_text}")
@@ -245,11 +247,11 @@ class BenchDriver:
                 passed = 1e-6 * ((status.newest.time_us - before.time_us) % messages.TURN)
             if status.stopped or passed > seconds:
                 return status
-            self._pause(_LOOK_EVERY)
+            self._pause(_POLL_PERIOD)
         raise LateAnswer("the device's readings are late")
 
     def take(self, telemetry: messages.Telemetry, now: float) -> BenchReading:
-        """Note telemetry; what it says about the bench."""
+        """Note telemetry for the safety rules; returns it as a reading of the bench."""
         self._supply_reading = telemetry.supply
         if not self.enabled and not any(telemetry.duty):
             self._sensors.rest(telemetry)
@@ -264,7 +266,7 @@ class BenchDriver:
         return taken
 
     def tick(self, now: float) -> str:
-        """Check everything, then keep the device supplied; the reason when it stops here."""
+        """Check the safety rules, then send the outputs; returns why it stopped here, or ""."""
         if not self.enabled:
             self._guard.commanded((0.0,) * len(self._channels))
             reason = "" if self._stopped else self._guard.flowing
@@ -273,7 +275,7 @@ class BenchDriver:
             self._guard.commanded(outputs)
             self._driven = now
             try:
-                # Of a duty the commanded mean; the device gets the direct volts of the same heat.
+                # A commanded duty is a mean voltage; the device expects the direct voltage.
                 volts = [self._limits.reading(volt) for volt in outputs]
                 self._link.drive(self._sensors.millivolts(volts, self._supply_reading))
             except LinkError as error:
@@ -285,18 +287,18 @@ class BenchDriver:
     def _fault(self, now: float) -> str:
         status = self._link.status
         another = ("another host speaks to the device: it answered "
-                   f"{status.unasked!r}, not asked from here") if status.unasked else ""
+                   f"{status.unasked!r} to a question of that host") if status.unasked else ""
         return status.fault or another or self._guard.fault(now)
 
 
 def device_limits(limits: Limits, device: messages.DeviceIdentity, supply: float) -> list[int]:
-    """Numbers of the device's command C, what it is to allow this rig, below its own limits: of
-    heat what holds a wire a tenth in volts above its highest temperature, lost as it cools."""
+    """Numbers of the device's command C: the rig's limits with a margin, at most the device's own.
+    Heat: 1.1 times the voltage that holds the highest temperature, over a wire's time constant."""
     least = max(device.least_resistance, limits.least_resistance)
     rise = max(limits.maximum_temperature - limits.ambient, 1.0)
-    hot = _HOTTER * math.sqrt(rise * limits.heat_loss * limits.heated)
-    mean = min(device.maximum_mean_current, _PER_BOARD * _MARGIN * limits.maximum_current)
-    peak = min(device.maximum_peak_current, _PER_BOARD * _MARGIN * supply / least)
+    hot = _HOT_MARGIN * math.sqrt(rise * limits.heat_loss * limits.heated)
+    mean = min(device.maximum_mean_current, _WIRES_PER_BOARD * _MARGIN * limits.maximum_current)
+    peak = min(device.maximum_peak_current, _WIRES_PER_BOARD * _MARGIN * supply / least)
     values = (min(device.maximum_voltage, _MARGIN * limits.reading(limits.maximum_voltage)), mean,
               max(peak, mean + _LEAST_STEP), least, min(device.hot_voltage, hot),
               min(device.hot_time, max(limits.heat_capacity / limits.heat_loss, _LEAST_HOT_TIME)))

@@ -1,5 +1,4 @@
-"""The device's sensors: readings as volts, amperes and metres of the bench, calibration by known
-loads, and the instruments of a bench in software."""
+"""The device's sensors: calibrated readings, calibration from known loads, simulated sensors."""
 
 import math
 from collections import deque
@@ -16,23 +15,23 @@ from sma_bench.hardware.serial_messages import CHANNELS, Telemetry
 
 SIDES = ("front", "back")  # of the device's boards, and of its range sensors
 _PER_SIDE = CHANNELS // len(SIDES)
-_RECENT = 0.05  # of the mean at rest, a reading
+_REST_WEIGHT = 0.05  # of a new reading in the running mean at rest
 _LEAST_DUTY = 1e-3  # below it a converter's step of mean current is amplified more than 30 times
-# Of a shared current sensor: s between two readings whose difference is a step's, much less than a
-# phase change takes; V^2; W; differences that are enough, and of which, overlapping, one counts;
-# what is kept of the known from one to the next.
-_STEP_BASE, _LEAST_STEP, _LEAST_NOISE = 0.05, 0.5, 0.02
-_LEAST_PAIRS, _OVERLAP, _FORGOTTEN = 20, 5, 0.995
-_INDEPENDENT = 0.1  # of a wire's own excitation, what must not be its neighbour's too
+# Two wires on one current sensor: regression of steps in power on steps in squared voltage.
+_STEP_BASE = 0.05  # s between the two readings of a step: short against a phase change
+_LEAST_STEP, _LEAST_NOISE = 0.5, 0.02  # V^2; W
+_LEAST_PAIRS, _OVERLAP = 20, 5  # pairs of readings needed; that overlap and count as one
+_MEMORY = 0.995  # weight of all earlier pairs at each new one
+_INDEPENDENT = 0.1  # share of a wire's steps that must be independent of its neighbour's
 _RIDGE = 1e-6
 _OPEN, _SURELY = 0.5, 0.7  # of the expected conductance; the latter with 3 standard deviations
-_FEWEST = 3  # pairs of a calibration that tell a scatter
-_BLOCK = 4096  # of noise
+_FEWEST = 3  # points of a calibration that have a scatter
+_BLOCK = 4096  # noise values drawn at once
 
 
 class Calibration(NamedTuple):
-    """value = gain * reading + offset; of a triangulation sensor, that has a shift (m), distance =
-    1/(gain * reading + offset) - shift, infinite beyond what it can see (REP-117)."""
+    """value = gain * reading + offset; for a triangulation sensor, which has a shift (m), distance
+    = 1/(gain * reading + offset) - shift, infinite out of range (REP-117)."""
 
     gain: float = 1.0
     offset: float = 0.0
@@ -46,7 +45,7 @@ class Calibration(NamedTuple):
 
 
 class CalibratedSensor(NamedTuple):
-    """A sensor's units (reading, what is known), what it measures, and where telemetry has it."""
+    """A sensor's units (of readings, of known loads), its quantity, its value in telemetry."""
 
     unit: str
     known_unit: str
@@ -66,32 +65,32 @@ SENSORS = {"supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
 
 
 class ChannelPower(NamedTuple):
-    """Direct voltage (V) and current (A) of the same heat; NaN is not measured. A wire that is on
-    for the share d of the time has sqrt(d) U and I/sqrt(d), I its mean: V/I is its resistance."""
+    """Direct voltage (V) and current (A) of the same heat; NaN: not measured. At duty d, supply U
+    and mean current I they are sqrt(d) U and I/sqrt(d): their ratio is the resistance."""
 
     voltage: float
     current: float
 
 
 class BenchReading(NamedTuple):
-    """One window of telemetry in the bench's own terms; pairs are of SIDES."""
+    """One window of telemetry in calibrated units; pairs are front and back."""
 
     time: float  # s of the host's monotonic clock, the middle of the window
     powers: tuple[ChannelPower, ...]  # in the order of bench.channels
-    distances: tuple[float, float]  # m, infinite beyond a sensor's sight
+    distances: tuple[float, float]  # m, infinite out of a sensor's range
     deflection: float  # m, positive toward the front; NaN when no sensor sees the tip
     board_currents: tuple[float, float] = (0.0, 0.0)  # A, mean through all wires of a board
     board_volts: tuple[float, float] = (0.0, 0.0)  # V, mean over time, summed over a board's wires
 
 
 class BenchSensors:
-    """Telemetry in, readings out; volts in, the device's millivolts out."""
+    """Converts telemetry to readings, and volts to the device's millivolts."""
 
     def __init__(self, sides: Sequence[str], settings: Mapping[str, Any]) -> None:
         """`settings` are the bridge's `calibration.` and `range.` parameters. Raises InputError:
         more channels on a side than the device has there; an unknown range sensor."""
         free = {side: [k * _PER_SIDE + n for n in range(_PER_SIDE)] for k, side in enumerate(SIDES)}
-        try:  # the device's channel of every bench channel: the sides' outputs in their order
+        try:  # the device's channel of each bench channel: the next free output of its side
             self.channels = tuple(free[side].pop(0) for side in sides)
         except (KeyError, IndexError):
             raise InputError(f"bench.channel_sides: {', '.join(sides)}, the device has {_PER_SIDE} "
@@ -100,21 +99,20 @@ class BenchSensors:
             name: Calibration(*(settings[f"calibration.{name}.{number}"]
                                 for number in Calibration._fields[: 3 if sensor.is_range else 2]))
             for name, sensor in SENSORS.items()}
-        self.supply = self._calibrations["supply"]  # of its divider
+        self.supply = self._calibrations["supply"]
         self._at_rest: tuple[float, ...] = (0.0,) * len(SIDES)
         self._standoffs = [settings[f"range.{side}_standoff"] for side in SIDES]
         for sensor in settings["range.sensors"]:
             if sensor not in SIDES:
                 raise InputError(f"range.sensors: {sensor!r}, expected front or back")
-        # Sides that are mounted; one clamped wire bends nothing.
+        # The mounted ones; on a bench of one wire nothing bends.
         self.range_sensors: tuple[str, ...] = settings["range.sensors"] if len(sides) > 1 else ()
-        # Bench channels whose currents one sensor measures together.
+        # Groups of bench channels that share a current sensor.
         boards = [channel // _PER_SIDE for channel in self.channels]
         self.shared = tuple(tuple(k for k, board in enumerate(boards) if board == n)
                             for n in range(len(SIDES)) if boards.count(n) > 1)
 
     def _calibrated(self, quantity: str, telemetry: Telemetry) -> tuple[float, float]:
-        """Of the front's and the back's sensor."""
         front, back = (self._calibrations[name].apply(SENSORS[name].reading(telemetry))
                        for name in (f"front_{quantity}", f"back_{quantity}"))
         return front, back
@@ -124,28 +122,28 @@ class BenchSensors:
         return self._calibrated("current", telemetry)
 
     def rest(self, telemetry: Telemetry) -> None:
-        """A window with nothing driven: the little that the boards' sensors say is no current."""
+        """Update the current sensors' zero from a window in which nothing is driven."""
         self._at_rest = tuple(
-            rest + _RECENT * (ampere - rest)
+            rest + _REST_WEIGHT * (ampere - rest)
             for rest, ampere in zip(self._at_rest, self.board_currents(telemetry), strict=True))
 
     def reading(self, telemetry: Telemetry) -> BenchReading:
-        """What a window says. Two driven wires of a board share its current like their duties."""
+        """The reading of a window. A board's current is split over its wires by their duties."""
         duties = telemetry.duty
         supply, currents = self.supply.apply(telemetry.supply), self.board_currents(telemetry)
-        wires = [ampere - rest if abs(rest) < MOST_CURRENT_AT_REST else ampere
-                 for ampere, rest in zip(currents, self._at_rest, strict=True)]
+        zeroed = [ampere - rest if abs(rest) < MOST_CURRENT_AT_REST else ampere
+                  for ampere, rest in zip(currents, self._at_rest, strict=True)]
         totals = sum(duties[:_PER_SIDE]), sum(duties[_PER_SIDE:])
         powers = []
         for channel in self.channels:
             duty, board, current = duties[channel], channel // _PER_SIDE, math.nan
-            if duty == 0.0:  # not driven: a sensor common to both wires could not distinguish it
-                current = 0.0 if totals[board] > 0.0 else wires[board]
+            if duty == 0.0:  # the board's current counts as its neighbour's if that is driven
+                current = 0.0 if totals[board] > 0.0 else zeroed[board]
             elif duty >= _LEAST_DUTY:
-                current = wires[board] * duty / totals[board] / math.sqrt(duty)
-            drop = self.supply.gain * telemetry.drop[board]  # by a pulse of the wire's own board
+                current = zeroed[board] * duty / totals[board] / math.sqrt(duty)
+            drop = self.supply.gain * telemetry.drop[board]  # of the supply during a board's pulse
             powers.append(ChannelPower(math.sqrt(duty) * (supply - drop), current))
-        # Mean over the mounted sensors that see the tip; bending to the front nears the front.
+        # Mean over the mounted sensors in range; bending to the front shortens its distance.
         near, far = self._calibrated("range", telemetry)
         towards = {"front": self._standoffs[0] - near, "back": far - self._standoffs[1]}
         seen = [towards[sensor] for sensor in self.range_sensors if math.isfinite(towards[sensor])]
@@ -154,8 +152,8 @@ class BenchSensors:
                             currents, (supply * totals[0], supply * totals[1]))
 
     def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
-        """What to command for `voltage` V at the wires; other outputs stay off. The device goes by
-        its own reading of the supply, `supply_reading` V; the calibration knows better."""
+        """Command (mV) for `voltage` V at the wires; other outputs stay off. It compensates that
+        the device computes duties from its uncalibrated `supply_reading` (V)."""
         true = self.supply.apply(supply_reading)
         scale = supply_reading / true if supply_reading > 0.0 and true > 0.0 else 1.0
         volts = dict(zip(self.channels, voltage, strict=True))
@@ -163,25 +161,25 @@ class BenchSensors:
 
 
 class SharedWatch:
-    """Two wires behind one current sensor: does each take its part of a step? They share what is
-    read like their duties; but the board's power is sum(V^2/R), each wire's conductance in it."""
+    """Finds an open wire of two that share a current sensor. Split by duty, their currents hide it;
+    but the board's power is sum(V^2/R), so steps of the voltages show each wire's conductance."""
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._channels = channels
         self._recent: deque[tuple[float, float, tuple[float, ...]]] = deque()
         self._before: tuple[float, ...] = ()
-        # Sums over the differences, the older the less: of the wires' steps and the power's.
+        # Sums of products of steps (V^2 of each wire, then the power), fading with age.
         self._sums = np.zeros((len(channels) + 1, len(channels) + 1))
         self._pairs, self._reason = 0.0, ""
 
     def power(self, volts: Sequence[float], amperes: Sequence[float], stamp: float,
               circuit: float) -> str:
-        """The wire without current by readings of `stamp` s, or ""; `circuit`: ohm of each."""
+        """Report of an open wire after readings at `stamp` s, or ""; `circuit`: ohm of each."""
         heat = tuple(volt**2 for volt in volts)
         before, self._before = self._before, heat
         if self._recent and stamp < self._recent[-1][0]:
             self._recent.clear()
-        # In the window of a step, voltages are those of its end and currents a mean.
+        # Skip the window in which a step falls: its voltages are final, its currents a mean.
         near = len(heat) == len(before) and all(abs(now - then) < 0.01 * max(now, _LEAST_STEP)
                                                 for now, then in zip(heat, before, strict=True))
         if heat != before and not near:
@@ -192,50 +190,50 @@ class SharedWatch:
             _, old_power, old_heat = self._recent.popleft()
             step = np.subtract((*heat, power), (*old_heat, old_power))
             if np.abs(step[:-1]).max() >= _LEAST_STEP:
-                self._sums = _FORGOTTEN * self._sums + np.outer(step, step)
-                self._pairs = _FORGOTTEN * self._pairs + 1.0
+                self._sums = _MEMORY * self._sums + np.outer(step, step)
+                self._pairs = _MEMORY * self._pairs + 1.0
                 self._reason = self._open(circuit)
         return self._reason
 
     def _open(self, circuit: float) -> str:
-        """Least squares of the wires' conductances, and the one that surely has none."""
+        """Least squares of the wires' conductances; reports one that is surely too low, or ""."""
         if self._pairs < _LEAST_PAIRS:
             return ""
         squares, products = self._sums[:-1, :-1], self._sums[:-1, -1]
         excited = np.diag(squares)
-        # From steps that were all alike no wire is identifiable; this keeps it finite.
+        # If all steps were alike no wire is identifiable; the ridge keeps the inverse finite.
         ridge = _RIDGE * float(excited.max())
         inverse = np.linalg.inv(squares + ridge * np.eye(len(excited)))
         conductance = inverse @ products
-        left = max(float(self._sums[-1, -1] - conductance @ products), 0.0)
-        noise = max(left / self._pairs, _LEAST_NOISE**2) * _OVERLAP
+        residual = max(float(self._sums[-1, -1] - conductance @ products), 0.0)
+        noise = max(residual / self._pairs, _LEAST_NOISE**2) * _OVERLAP
         for k, channel in enumerate(self._channels):
             share = conductance[k] * circuit
             std = math.sqrt(noise * inverse[k, k]) * circuit
             identifiable = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
             if identifiable and share < _OPEN and share + 3.0 * std < _SURELY:
-                return (f"open: {channel} takes {max(share, 0.0):.0%} of its current where the "
-                        f"voltages step, beside {self._channels[1 - k]}")
+                return (f"open: {channel} takes {max(share, 0.0):.0%} of its current by the steps "
+                        f"of its voltage (it shares a sensor with {self._channels[1 - k]})")
         return ""
 
 
-# --- Calibrating one of the device's sensors: gain and offset from known loads, with their errors.
-# Readings are the device's own (V, A), known loads true ones (V, A, m).
+# --- Calibration of a sensor: gain and offset from known loads, with their standard errors.
+# Readings are the device's own (V, A), known loads reference values (V, A, m).
 
 
 class SensorFit(NamedTuple):
-    """The bridge's parameters of a sensor, and how well the known loads lie on them."""
+    """The bridge's parameters of a sensor, and how well they fit the known loads."""
 
     parameters: dict[str, float]
-    std: dict[str, float]  # standard errors that the scatter gives, NaN with two points
-    rest: float  # rms of what is left, in the unit of the known loads
-    uncertainty: dict[str, float]  # of such readings, by the parameters `sensor.`; none of two
+    std: dict[str, float]  # standard errors from the scatter, NaN with two points
+    rest: float  # rms residual, in the unit of the known loads
+    uncertainty: dict[str, float]  # of readings, as `sensor.` parameters; empty with two points
 
 
 def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
                shift: float = 0.0) -> SensorFit:
     """Fit a sensor of SENSORS to readings (n,) of known loads (n,). `shift`: m, depth of a range
-    sensor's lens behind its face. Raises InputError: loads that tell no gain."""
+    sensor's lens behind its face. Raises InputError: the loads give no gain."""
     kind, std = SENSORS[name], dict[str, float]()
     x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     if x.shape != y.shape:
@@ -252,13 +250,13 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     else:
         del found["shift"]
         std, digit = dict(zip(found, stds, strict=True)), _last_digit(readings)
-    uncertainty = {}  # of a calibrated reading: by the scatter, at least by the last digits
+    uncertainty = {}  # of a calibrated reading: the scatter, at least the rounding of the digits
     if len(x) >= _FEWEST and math.isfinite(scatter):
         digits = math.hypot(gain * digit, _last_digit(known)) / math.sqrt(12.0)
         if scatter := max(scatter, digits):
             spread = math.sqrt(float(((y - y.mean()) ** 2).sum()))
             uncertainty[f"sensor.{kind.quantity}.gain"] = scatter / spread
-            if not kind.is_range:  # the tip at rest is zero, whatever the distance
+            if not kind.is_range:  # deflection is measured from the tip at rest, without offset
                 offset_of = scatter * math.hypot(len(x) ** -0.5, y.mean() / spread)
                 uncertainty[f"sensor.{kind.quantity}.offset"] = offset_of
     named, named_std = ({f"calibration.{name}.{key}": value for key, value in numbers.items()}
@@ -268,7 +266,7 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
 
 
 def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
-    """Least-squares gain and offset, their standard errors, the scatter: NaN of two points."""
+    """Least-squares gain and offset, their standard errors, the scatter (NaN with two points)."""
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("calibration: a reading or a load is not finite")
     if (different := np.unique(x).size) < 2:
@@ -285,14 +283,14 @@ def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
 
 
 def _last_digit(values: Sequence[float]) -> float:
-    """What the last decimal that any of them has is worth; 0 where all are whole."""
+    """Place value of the last decimal that any of the values has; 0 if all are integers."""
     places = [-int(Decimal(repr(float(value))).normalize().as_tuple().exponent) for value in values]
     return 10.0 ** -max(places) if max(places, default=0) > 0 else 0.0
 
 
 class Instrument:
-    """What a sensor (voltage, current, temperature, range, force) makes of a true value, by the
-    simulator's parameters: noise, drawn in blocks, and quantisation."""
+    """A simulated sensor (voltage, current, temperature, range, force): adds noise to a true value
+    and rounds it to the resolution, by the simulator's parameters."""
 
     def __init__(self, settings: Mapping[str, Any], quantity: str,
                  seed: np.random.SeedSequence) -> None:
@@ -304,9 +302,9 @@ class Instrument:
         return float(self.read_all(np.array([value]))[0])
 
     def read_all(self, values: Array) -> Array:
-        """The readings of true values (n,), bit by bit as of one `read` after the other."""
+        """Readings of true values (n,), bit for bit as by repeated `read`."""
         if self._noise > 0.0:
-            while len(self._drawn) < len(values):  # the newest block is used up last
+            while len(self._drawn) < len(values):  # values are taken from the end
                 block = self._noise * self._random.standard_normal(_BLOCK)
                 self._drawn = np.concatenate([block, self._drawn])
             self._drawn, taken = np.split(self._drawn, [len(self._drawn) - len(values)])

@@ -1,8 +1,8 @@
 """Rules that keep a heated wire safe. No ROS, no clock of its own: time comes in as seconds.
 
-Every rule answers with a reason, one line for people, or "": whoever asked puts the outputs to 0 V.
-Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what a
-wire should do by the model, which must last for a while (a camera that looks elsewhere)."""
+Every rule returns a reason (one line for the user) or ""; on a reason the caller sets the outputs
+to 0 V. Rules on readings are three tables, evaluated by `broken`: limits act at once, deviations
+from the command or the model must last for a while (a camera may briefly look elsewhere)."""
 
 import math
 from collections import deque
@@ -15,25 +15,26 @@ from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
 CURRENT_FLOOR = 0.1  # A; offset and noise of a board's current sensor
-MOST_CURRENT_AT_REST = 0.15  # A that a board's sensor may say while nothing is driven
-LEAST_VOLTAGE = 1.0  # V; below it the current's noise says nothing about a resistance
-_LEAST_TOLERANCE = 0.2  # of the voltage's tolerance: what is left of it at 0 V
+MOST_CURRENT_AT_REST = 0.15  # A, highest reading of a board's sensor while nothing is driven
+LEAST_VOLTAGE = 1.0  # V; below it the current is too noisy to give a resistance
+_LEAST_TOLERANCE = 0.2  # share of the voltage tolerance that remains at 0 V
 FLOWING, FEEDBACK = "flowing", ("power", "temperature")
 Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
-_SENT = 1000  # volts kept between two readings, at most
-_REMEMBERED = 1.0  # s, for which a current that was measured stands for one that was not
-_LEAST_READINGS, _STILL = 5, 0.25  # that show what must last; s, at the end of a run
-_RATE_BASE = 0.05  # s; stamps of a camera come a few ms early or late
-_MODELLED_CURRENT = 2.0  # times the largest: more than that does not get into the model
-_RESTS, _RESTED = 0.5, 10.0  # V, and time constants after which a wire shows its room
-_ROOM = 20.0  # K that a room may be colder or warmer than its file says
+_SENT = 1000  # commands remembered between two readings, at most
+_CURRENT_VALID = 1.0  # s for which the last measured current replaces missing ones
+_LEAST_READINGS = 5  # that must break a rule with a hold time
+_STRAY_TIME = 0.25  # s of deviation that `Guard.strays` reports at the end of a run
+_RATE_BASE = 0.05  # s, shortest base of a heating rate; a camera's stamps jitter by a few ms
+_MODELLED_CURRENT = 2.0  # times the maximum: the model sees larger readings clipped to this
+_REST_VOLTAGE, _REST_TIME = 0.5, 10.0  # V; time constants until a wire has room temperature
+_ROOM_ERROR = 20.0  # K, largest error of the stated room temperature
 _OFF_CURRENT = 0.3  # A; an uncalibrated ACS712 may be 0.4 A off, a calibrated one is not
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a bench allows, its wires' model (Ohm's law, eq. (1); a channel as one), tolerances."""
+    """Limits and tolerances of a bench, and the model of each channel (Ohm's law, eq. (1))."""
 
     maximum_voltage: float
     maximum_current: float
@@ -48,8 +49,8 @@ class Limits:
     heat_loss: float  # W/K
     heat_capacity: float  # J/K
     ambient: float
-    leads: float  # ohm, between where the voltage is measured and the wire
-    supply: float  # V that a duty switches; 0: commanded volts are direct
+    leads: float  # ohm, between the point where the voltage is measured and the wire
+    supply: float  # V, switched with a duty; 0: commands are direct voltages
 
     @classmethod
     def from_parameters(cls, p: Parameters) -> "Limits":
@@ -62,7 +63,7 @@ class Limits:
                    supply=p["bench.supply_voltage"] if p["bench.drive"] == "duty" else 0.0)
 
     def reading(self, commanded: float) -> float:
-        """V that are read at a command: of a duty the direct voltage of the same heat."""
+        """Voltage to be read at a command (V): with a duty, the direct voltage of equal heat."""
         return math.sqrt(max(commanded, 0.0) * self.supply) if self.supply else commanded
 
     @property
@@ -72,17 +73,17 @@ class Limits:
 
     @property
     def heated(self) -> float:
-        """V^2 over the heat of the wire, ohm."""
+        """V^2/P, ohm, with P the heat in the wire without its leads."""
         return self.circuit**2 / self.resistance
 
     @property
     def least_resistance(self) -> float:
-        """ohm that the circuit may have, its wire cold, hot or worn."""
+        """Lowest resistance (ohm) that the circuit may have, its wire cold, hot or worn."""
         return self.circuit * max(1.0 - self.resistance_tolerance, 0.05)
 
     @property
     def highest_reading(self) -> float:
-        """V that may be read of the largest command."""
+        """Highest voltage (V) that may be read at the largest command."""
         return self.reading(self.maximum_voltage) + self.voltage_tolerance
 
     def warmed(self, temperature: float, volt: float, elapsed: float) -> float:
@@ -92,8 +93,9 @@ class Limits:
         return steady + (temperature - steady) * decay
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat the wire at least as what was measured; NaN is not measured. With a current
-        that no wire may have it counts as new; one without volts heats too: a stuck switch."""
+        """Voltage (V) that heats the modelled wire at least as much as measured; NaN: not measured.
+        If the current is implausible the highest of three heats counts: the modelled wire's, the
+        measured one, and that of a current without a voltage (a stuck switch)."""
         if volt >= LEAST_VOLTAGE and abs(ampere - volt / self.circuit) <= self.allowed_stray(volt):
             return self.measured_voltage(volt, ampere)
         powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]
@@ -103,11 +105,11 @@ class Limits:
         return math.sqrt(highest * self.heated)
 
     def measured_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat the model's wire as what this one takes."""
+        """Voltage (V) that heats the modelled wire with the power measured in this one."""
         return math.sqrt(max((volt - self.leads * ampere) * ampere, 0.0) * self.heated)
 
     def allowed_deviation(self, volt: float) -> float:
-        """V by which a commanded voltage and its reading may differ: less at small ones."""
+        """V by which a command and its reading may differ: less at small voltages."""
         share = _LEAST_TOLERANCE + volt / self.reading(self.maximum_voltage)
         return self.voltage_tolerance * min(share, 1.0)
 
@@ -117,8 +119,8 @@ class Limits:
 
 
 class Watchdog:
-    """Notices silence: expired from the start, and again `timeout` s after every `feed`. There is
-    no way to switch it off: ValueError unless the timeout is positive and finite."""
+    """Detects silence: expired from the start, and again `timeout` s after every `feed`. It cannot
+    be switched off: ValueError unless the timeout is positive and finite."""
 
     def __init__(self, timeout: float) -> None:
         if not 0.0 < timeout < math.inf:
@@ -130,19 +132,19 @@ class Watchdog:
 
     def expired(self, now: float) -> bool:
         """True when nothing was heard within the timeout before `now` s."""
-        # A clock that went back (a restarted simulation) proves nothing about the silence.
+        # When the clock went back (a restarted simulation) it counts as expired.
         return not 0.0 <= now - self.fed <= self.timeout
 
 
 class Freshness(Watchdog):
-    """Age of one reading. Only a new acquisition stamp counts: a frozen driver is stale too."""
+    """Age of one reading. Only a new stamp counts: a driver that repeats itself is stale, too."""
 
     def __init__(self, subject: str, timeout: float) -> None:
         super().__init__(timeout)
         self._subject, self._stamp = subject, math.nan
 
     def seen(self, stamp: float, now: float) -> bool:
-        """A reading acquired at `stamp` s arrived at `now` s (two clocks); whether it is new."""
+        """Note a reading acquired at `stamp` s, received at `now` s (two clocks); True if new."""
         if is_new := stamp != self._stamp:
             self._stamp = stamp
             self.feed(now)
@@ -159,8 +161,9 @@ class Freshness(Watchdog):
 
 
 class CommandGate:
-    """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V. One
-    commander at a time: the first, until it is silent for the command timeout; 0 V from anybody."""
+    """Turns accepted commands into outputs and counts the rejected; without a command for the
+    command timeout the outputs go to 0 V. One sender commands at a time: the first, until it is
+    silent for that timeout. A command of 0 V is accepted from anybody."""
 
     def __init__(self, channels: int, limits: Limits) -> None:
         self._limits = limits
@@ -171,7 +174,7 @@ class CommandGate:
         self.last_rejection = ""
 
     def command(self, values: Sequence[float], now: float, sender: str = "") -> str:
-        """Take a command (V, one a channel) at `now` s; why it is rejected, and changes nothing."""
+        """Take a command (V, one per channel) at `now` s; returns why it is rejected, or ""."""
         if (given := len(values)) != len(self._zero):
             return self.refuse(f"voltage_command has {given} values, expected {len(self._zero)}")
         highest = self._limits.maximum_voltage
@@ -196,7 +199,7 @@ class CommandGate:
         return "" if self._commander is None else _named(self._commander)
 
     def refuse(self, reason: str) -> str:
-        """Count a command that cannot be obeyed now; the reason."""
+        """Count a rejected command; returns `reason`."""
         self.rejected += 1
         self.last_rejection = reason
         return reason
@@ -214,14 +217,14 @@ class CommandGate:
 
 
 def _named(sender: str) -> str:
-    """A sender for people: what makes it unique is left out."""
+    """A sender's name for messages, without the suffix that makes it unique."""
     return sender.partition("#")[0] or "a node without a name"
 
 
 @dataclass
 class Wire:
-    """What was read of one wire (NaN: not measured), and what the model makes of it. Before the
-    first reading anything may have heated it: it counts as hot as allowed."""
+    """Readings of one wire (NaN: not measured) and its modelled temperatures. What heated it before
+    the first reading is unknown: `hottest` begins at the highest allowed temperature."""
 
     name: str
     volt: float = math.nan
@@ -229,22 +232,22 @@ class Wire:
     kelvin: float = math.nan
     commands: deque[float] = field(default_factory=lambda: deque(maxlen=_COMMANDS))  # V
     sent: deque[float] = field(default_factory=lambda: deque(maxlen=_SENT))  # V, since a reading
-    rise: float = 0.0  # K/s, 0 between two readings that are too near each other
-    modelled: float = math.nan  # K, from the volts
-    hottest: float = math.nan  # K, from all power that was measured
-    room: float = 0.0  # K by which it was warmer at rest than the room of the limits
+    rise: float = 0.0  # K/s, 0 if the two readings are too close in time
+    modelled: float = math.nan  # K, from the voltage
+    hottest: float = math.nan  # K, upper bound from the measured power
+    room: float = 0.0  # K by which it was warmer at rest than `Limits.ambient`
     since: Lasting = field(default_factory=dict)
-    asked: float = 0.0  # V, the most of this run; NaN as soon as a reading shows some of it
-    unanswered: float = 0.0  # the same, where readings came that should have shown it
+    asked: float = 0.0  # V, highest command of this run; NaN once a reading shows a voltage
+    unanswered: float = 0.0  # `asked`, once a reading that should have shown it was 0 V
     _rested: float = 0.0  # s
     _heating: float = 0.0
     _powered: float = math.nan
     _reference: tuple[float, float] | None = None
-    _share: float = 1.0  # of the model's current, as it was measured last
-    _measured: float = -math.inf  # s, then
+    _share: float = 1.0  # last measured current over the modelled one
+    _measured: float = -math.inf  # s, time of that
 
     def command(self, volt: float) -> None:
-        """Note the volts that were sent. What they warm from now on is no room."""
+        """Note the voltage that was sent; once it is not 0 the wire is no longer at rest."""
         self.commands.append(volt)
         self.sent.append(volt)
         self.asked = max(self.asked, volt)  # NaN stays
@@ -252,18 +255,18 @@ class Wire:
             self._rested = 0.0
 
     def power(self, volt: float, ampere: float, stamp: float, limits: Limits) -> None:
-        """A reading acquired at `stamp` s: the model goes on to there."""
+        """Note a reading acquired at `stamp` s and advance the model to that time."""
         self.volt, self.ampere = volt, ampere
-        volt, ampere = self.believed(limits)
+        volt, ampere = self.clipped(limits)
         if math.isnan(volt) and math.isnan(ampere):
             return
         elapsed = stamp - self._powered
         if not elapsed >= 0.0:  # the first reading, or a clock that went back
             self.modelled, self.hottest, elapsed = limits.ambient, limits.maximum_temperature, 0.0
-        if volt >= LEAST_VOLTAGE:  # a wire may age: what it takes heats, also between readings
+        if volt >= LEAST_VOLTAGE:  # a wire may age: the current as measured heats it
             if not math.isnan(ampere):
                 self._share, self._measured = ampere * limits.circuit / volt, stamp
-            elif not 0.0 <= stamp - self._measured <= _REMEMBERED:
+            elif not 0.0 <= stamp - self._measured <= _CURRENT_VALID:
                 self._share = 1.0
             ampere = self._share * volt / limits.circuit
         heating = limits.heating_voltage(volt, ampere)
@@ -272,53 +275,53 @@ class Wire:
             expected = limits.measured_voltage(volt, ampere)
         most = max(self.sent, default=0.0)
         if most - min(self.sent, default=0.0) > limits.allowed_deviation(most):
-            # They differ by more than a reading may: then no one reading says what they heat.
+            # These commands differ too much for one reading to stand for all: use their mean heat.
             mean = math.sqrt(fmean(limits.reading(sent) ** 2 for sent in self.sent))
             expected = limits.measured_voltage(mean, self._share * mean / limits.circuit)
-        while len(self.sent) > 1:  # the last one holds on
+        while len(self.sent) > 1:  # the last one still applies
             self.sent.popleft()
         self.modelled = limits.warmed(self.modelled, expected, elapsed)
-        # Nobody knows when, since the last reading, the voltage changed.
+        # The voltage may have changed at any time since the last reading: take the higher.
         self.hottest = limits.warmed(self.hottest, max(heating, self._heating), elapsed)
-        # Between two readings there may have been pulses.
-        rests = max(heating, self._heating) < _RESTS and not any(self.commands)
+        # Commands count, too: there may have been pulses between two readings.
+        rests = max(heating, self._heating) < _REST_VOLTAGE and not any(self.commands)
         self._rested = self._rested + elapsed if rests else 0.0
         self._heating, self._powered = heating, stamp
 
-    def believed(self, limits: Limits) -> list[float]:
-        """Volts and amperes for the model, in which a number beyond the limits must not stay."""
+    def clipped(self, limits: Limits) -> list[float]:
+        """Voltage and current for the model, clipped: an impossible reading must not upset it."""
         return [max(-most, min(value, most)) if math.isfinite(value) else math.nan
                 for value, most in ((self.volt, limits.highest_reading),
                                     (self.ampere, _MODELLED_CURRENT * limits.maximum_current))]
 
     def temperature(self, kelvin: float, stamp: float, limits: Limits) -> None:
-        """A temperature acquired at `stamp` s; the rise since one that is far enough back."""
+        """Note a temperature acquired at `stamp` s, and its rise since one `_RATE_BASE` before."""
         self.kelvin, self.rise = kelvin, 0.0
         if not math.isfinite(kelvin):
             return
-        if self._rested > _RESTED * limits.heat_capacity / limits.heat_loss:
-            self.room = max(-_ROOM, min(kelvin - limits.ambient, _ROOM))
+        if self._rested > _REST_TIME * limits.heat_capacity / limits.heat_loss:
+            self.room = max(-_ROOM_ERROR, min(kelvin - limits.ambient, _ROOM_ERROR))
         before, at = self._reference or (kelvin, -math.inf)
-        if not 0.0 <= stamp - at < _RATE_BASE:  # not even where a clock went back
+        if not 0.0 <= stamp - at < _RATE_BASE:  # far enough back, or the clock went back
             self._reference = (kelvin, stamp)
             self.rise = (kelvin - before) / (stamp - at) if stamp > at else 0.0
 
 
 class Rule(NamedTuple):
-    """Broken by `value`s above the `limit` for `hold` s. NaN shows nothing, and ends nothing."""
+    """Broken when `value` exceeds `limit` for `hold` s. NaN neither begins nor ends a violation."""
 
     value: float
     limit: float
-    said: Callable[[], str]
+    reason: Callable[[], str]
     hold: float = 0.0
 
 
 def power_rules(wire: Wire, x: Limits, timeout: float = 0.0,
                 unseen: bool = False) -> dict[str, Rule]:
-    """About voltage and current; what rests on the model must last for the timeout, s. `unseen`:
-    nobody measures the temperature, which otherwise is judged itself."""
-    name, volt, ampere, (v, i) = wire.name, wire.volt, wire.ampere, wire.believed(x)
-    # All that the last commands allow, and what the volts make of the current.
+    """Rules on voltage and current; deviations from command and model must last for `timeout` s.
+    `unseen`: no temperature is measured, so the modelled one is limited instead."""
+    name, volt, ampere, (v, i) = wire.name, wire.volt, wire.ampere, wire.clipped(x)
+    # Voltages that the last commands allow, and the current expected at the measured voltage.
     commands = [x.reading(command) for command in wire.commands or (0.0,)]
     low = min(commands) - x.allowed_deviation(min(commands))
     high = max(commands) + x.allowed_deviation(max(commands))
@@ -358,23 +361,23 @@ def temperature_rules(wire: Wire, x: Limits, timeout: float = 0.0) -> dict[str, 
 
 
 def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, Rule]:
-    """About a board's mean current and its wires' mean volts."""
+    """Rules on a board's mean current; `volts`: mean over time, summed over its wires."""
     off, most = volts == 0.0, CURRENT_FLOOR + volts / x.least_resistance
     return {
         "short": Rule(0.0 if off else ampere, most, lambda: (
             f"short circuit: the {side} board carries {ampere:.2f} A, its outputs explain at "
             f"most {most:.2f} A"), hold=0.06),
-        # A window may hold what flowed before an output's last step.
+        # A window may include current from before the outputs went off.
         FLOWING: Rule(abs(ampere) if off else 0.0, _OFF_CURRENT, lambda: (
             f"{ampere:.2f} A through the {side} board with its outputs off"), hold=0.15)}
 
 
 def broken(rules: Mapping[str, Rule], now: float = 0.0,
            since: Lasting | None = None) -> dict[str, str]:
-    """The rules that are broken at `now` s, with their reasons; `since` is kept by the caller: when
-    readings began to break a rule, and how many did."""
+    """Names and reasons of the rules broken at `now` s. `since` is state that the caller keeps:
+    when readings began to break each rule, and how many did."""
     since, reasons = {} if since is None else since, {}
-    for name, (value, limit, said, hold) in rules.items():
+    for name, (value, limit, reason, hold) in rules.items():
         if math.isnan(value):
             continue
         if not value > limit:
@@ -383,7 +386,7 @@ def broken(rules: Mapping[str, Rule], now: float = 0.0,
         begun, readings = since.get(name, (now, 0))
         since[name] = begun, readings + 1
         if not hold or (now - begun >= hold and readings + 1 >= _LEAST_READINGS):
-            reasons[name] = said()
+            reasons[name] = reason()
     return reasons
 
 
@@ -392,11 +395,11 @@ def _celsius(kelvin: float, digits: int = 1) -> str:
 
 
 class Guard:
-    """Watches every channel's commands and readings and knows why driving must not go on."""
+    """Checks the commands and readings of all channels; `fault` is the reason not to drive."""
 
     def __init__(self, channels: Iterable[str], feedback: Iterable[str], timeout: float) -> None:
-        """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s. A
-        disagreement between model and readings is a fault when it lasts as long."""
+        """Require `feedback` ("power", "temperature") of all channels at least every `timeout` s. A
+        disagreement between model and readings is a fault when it lasts for `timeout` s."""
         self._timeout = timeout
         self._wires = {channel: Wire(channel) for channel in channels}
         self._boards: dict[str, Lasting] = {side: {} for side in ("front", "back")}
@@ -404,37 +407,37 @@ class Guard:
         known = [f"{channel}/{kind}" for channel in self._wires for kind in FEEDBACK]
         self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
         self._found = {"recorder": ""}
-        self.flowing = ""  # what flows though every output is off
+        self.flowing = ""  # report of a current with all outputs of a board off
 
     def recorder(self, failure: str) -> None:
-        """Note why the recorder failed (a full disk), "" when it records or nobody minds."""
+        """Note why the recorder failed (a full disk), "" when it records or need not."""
         self.found("recorder", f"recording failed: {failure}" if failure else "")
 
     def found(self, subject: str, reason: str) -> None:
-        """Note what is wrong with a subject, "" for nothing."""
+        """Note the fault of a subject, "" for none."""
         self._found[subject] = reason
 
     def commanded(self, voltage: Sequence[float]) -> None:
-        """Note the volts that were sent, one a channel: readings must follow them."""
+        """Note the voltages that were sent, one per channel: readings must follow them."""
         for wire, volt in zip(self._wires.values(), voltage, strict=True):
             wire.command(volt)
 
     def begin(self) -> None:
-        """A run begins: `unanswered` is about its commands."""
+        """Begin a run: `unanswered` is about its commands only."""
         for wire in self._wires.values():
             wire.asked = wire.unanswered = 0.0
 
     def unanswered(self) -> str:
-        """Which wire got nothing of what was commanded since the run began, or ""."""
+        """Report of a wire that got 0 V in spite of the commands since the run began, or ""."""
         return next((f"disagreement: {wire.name} got 0 V, commanded up to {wire.unanswered:.2f} V"
                      for wire in self._wires.values() if wire.unanswered > 0.0), "")
 
     def strays(self, now: float) -> str:
-        """Which wire's volts have not been those commanded for a while, less than a rule needs to
-        be broken, or ""."""
+        """Report of a wire whose voltage has deviated from its command for `_STRAY_TIME`, even if
+        not for long enough to break the rule, or ""."""
         for wire in self._wires.values():
             begun, readings = wire.since.get("follows", (now, 0))
-            if now - begun >= _STILL and readings >= _LEAST_READINGS:
+            if now - begun >= _STRAY_TIME and readings >= _LEAST_READINGS:
                 return (f"disagreement: {wire.name} gets {wire.volt:.2f} V, commanded "
                         f"{wire.commands[-1]:.2f} V")
         return ""
@@ -453,7 +456,7 @@ class Guard:
               limits: Limits) -> None:
         """Note voltage in V and current in A; both NaN or infinite is not a reading."""
         wire, subject = self._wires[channel], f"{channel}/power"
-        least = min(wire.sent, default=0.0)  # that a reading between two brief pulses misses
+        least = min(wire.sent, default=0.0)  # a reading between two pulses must show only this
         wire.power(volt, ampere, stamp, limits)
         if math.isfinite(volt) or math.isfinite(ampere):
             self._fresh[subject].seen(stamp, now)
@@ -468,7 +471,7 @@ class Guard:
 
     def boards(self, amperes: Sequence[float], volts: Sequence[float], now: float,
                limits: Limits) -> None:
-        """Note the boards' mean currents (A) and their wires' mean volts."""
+        """Note the boards' mean currents (A) and voltages (V, summed over the wires)."""
         flowing = []
         for (side, since), ampere, volt in zip(self._boards.items(), amperes, volts, strict=True):
             reasons = broken(board_rules(side, ampere, volt, limits), now, since)
@@ -477,7 +480,7 @@ class Guard:
         self.flowing = "; ".join(flowing)
 
     def oldest(self, now: float) -> float:
-        """Age in s of the oldest of the readings that are demanded."""
+        """Age (s) of the oldest required reading."""
         return max((now - self._fresh[name].fed for name in self.wanted), default=0.0)
 
     def fault(self, now: float) -> str:

@@ -1,8 +1,8 @@
-"""The link to the bench's Uno: a port for one host only, one thread that reads, and whoever drives.
+"""The serial link to the bench's Uno: an exclusive port, a thread that reads, callers that drive.
 
-It connects by itself, again and again, and never arms by itself. The newest command is said again
-while its driver is late, for a quarter of a second: a busy host, or a byte lost on the way, ends
-nothing. A driver that hangs is spoken for no longer, and the device's own timeout switches off."""
+It connects and reconnects by itself, but never arms by itself. While the caller is late, the newest
+command is repeated for a quarter of a second: a busy host or a lost byte stops nothing. When the
+caller hangs for longer the repetition ends, and the device's own timeout switches off."""
 
 import contextlib
 import copy
@@ -31,15 +31,15 @@ BAUD_RATE, _BITS_PER_BYTE = 500_000, 10
 _READ_TIMEOUT, _WRITE_TIMEOUT = 0.05, 0.2  # s
 BINARY_ABOVE = 100  # Hz: text telemetry up to here, binary above
 _ASKS, _ANSWER_TIMEOUT = 3, 0.5  # s; the device answers within a few ms
-_LATEST = 5.0  # s in which an answer no longer waited for is still no other host's
+_LATEST = 5.0  # s after our timeout until which an answer may be ours, not another host's
 _LONGEST_WAIT = 0.1  # s of silence that one read counts for
-_REPEAT, _SPOKEN_FOR = 0.05, 0.25  # s between sendings; that their driver may be away meanwhile
+_REPEAT_PERIOD, _REPEAT_FOR = 0.05, 0.25  # s, of the newest command; after its caller gave it
 _PING_PERIOD = 0.0837  # s, no multiple of a window: pings must meet pauses between frames
 _COUNTERS_PERIOD, SILENCE_LIMIT = 1.0, 1.0  # s
-_REMEMBERED, _TICK = 64, 1e-6  # sendings; s between two stamps, at least
-_LONGEST_WINDOW = 1_100_000  # us; of the lowest rate, 1 Hz, with a window of another in it
-_LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
-_ALWAYS_ASKED = "ACDR"  # what changes who drives: never answered to whom has not asked
+_REMEMBERED, _TICK = 64, 1e-6  # commands whose times are kept; s between two stamps, at least
+_LONGEST_WINDOW = 1_100_000  # us, at the lowest rate of 1 Hz, with one window of another rate
+_LONG_PAUSE = 0.75  # share of the device's timeout: after a longer pause this host is the cause
+_DRIVING_COMMANDS = "ACDR"  # an answer to one of these that was not asked shows another host
 _NOT_OUR_SESSION = messages.REASONS.index("wrong nonce or session")
 
 
@@ -48,19 +48,19 @@ class LinkError(Exception):
 
 
 class LateAnswer(LinkError):
-    """It may have done it, but did not say so in time."""
+    """No answer in time; the device may have obeyed."""
 
 
 def find_port(folder: Path = BY_ID) -> str:
-    """The one serial device with a stable name. InputError: none, or several, named."""
-    names = sorted(map(str, folder.glob("*")))  # none where there is no such folder
+    """The only serial device with a stable name. InputError: none, or several."""
+    names = sorted(map(str, folder.glob("*")))  # none if there is no such folder
     if len(names) != 1:
         found = ", ".join(names) or "none"
         raise InputError(f"port: {found} in {folder}, expected one device, or give the port")
     return names[0]
 
 
-class _OwnPort(serial.Serial):
+class _ExclusivePort(serial.Serial):
     """A port that no other program can open, not even one that ignores pyserial's lock."""
 
     def open(self) -> None:
@@ -72,7 +72,7 @@ class _OwnPort(serial.Serial):
             raise
 
     def write(self, data: bytes) -> int:
-        """All of `data`; pyserial's own also says timeout where it was kept waiting after it."""
+        """Write all of `data`. pyserial's own may report a timeout when all has been written."""
         left, end = memoryview(data), time.monotonic() + _WRITE_TIMEOUT
         while left:
             try:
@@ -94,29 +94,29 @@ class _OwnPort(serial.Serial):
 
 
 def open_port(path: str) -> serial.Serial:
-    """Open `path` for this program alone; OSError when that cannot be, or another host has it."""
-    return _OwnPort(path, BAUD_RATE, timeout=_READ_TIMEOUT, write_timeout=_WRITE_TIMEOUT,
-                    exclusive=True)
+    """Open `path` exclusively. OSError: it cannot be opened, or another host has it."""
+    return _ExclusivePort(path, BAUD_RATE, timeout=_READ_TIMEOUT, write_timeout=_WRITE_TIMEOUT,
+                          exclusive=True)
 
 
 @dataclass
 class LinkStatus:
-    """All that the link knows of the device; counts are of the link, or (*) of this connection."""
+    """State of device and link; counts are since the start, those with * of this connection."""
 
     connected: bool = False
     device: messages.DeviceIdentity | None = None
     state: DeviceState = DeviceState.IDLE
     cause: int = 0
-    trip: messages.Trip | None = None  # the last one, which the device keeps without power
-    left: str = ""  # by what was before this connection, until it is acknowledged
+    trip: messages.Trip | None = None  # the last one, which the device stores without power
+    left: str = ""  # fault from before this connection, until it is acknowledged
     telemetry: int = 0
     lost: int = 0
     damaged: int = 0  # *
     not_understood: int = 0  # *
     refused: int = 0
     last_refusal: str = ""
-    silence: str = ""  # why it heard no command, as far as this host knows, where it timed out
-    unasked: str = ""  # newest answer, since this host armed, to another host's question
+    silence: str = ""  # cause of the device's command timeout, as far as this host knows
+    unasked: str = ""  # newest answer to another host's question since this host armed
     counters: dict[str, str] = field(default_factory=dict)  # the device's own, once a second
     connections: int = 0
     round_trip: float = math.nan  # s, of a ping
@@ -153,8 +153,8 @@ class LinkStatus:
         self.state, self.cause = DeviceState(telemetry.state), telemetry.cause
 
     def restarted(self, telemetry: Telemetry, period_us: int) -> bool:
-        """True when the device started anew since the last frame; windows last `period_us`. Its
-        clock went back, or, where half a turn hides that, missed windows do not fill the time."""
+        """True if the device restarted since the last frame: its clock went back or, where the
+        clock's wrap hides that, the time does not match the missed windows of `period_us`."""
         if self.newest is None:
             return False
         elapsed = (telemetry.time_us - self.newest.time_us) % messages.TURN
@@ -166,7 +166,7 @@ class LinkStatus:
 
     @property
     def diagnostics(self) -> dict[str, Any]:
-        """What the link counts, in the units of its names."""
+        """Values to publish; their names contain the units."""
         values = {"connections": self.connections, "frames": self.telemetry,
                   "lost_frames": self.lost, "crc_errors": self.damaged,
                   "not_understood": self.not_understood, "refused_by_device": self.refused,
@@ -194,22 +194,22 @@ class SerialLink:
         self._open_port, self._rate, self._now = open_port, rate, clock
         self._on_reading, self._on_event = on_reading, on_event
         self._status = LinkStatus()
-        self._heard = threading.Condition()  # an answer, or news of the status
-        # The connection: port, what is read from it, and the question that is open.
+        self._heard = threading.Condition()  # an answer, or a change of the status
+        # The connection: port, decoding, last ping, and the pending question.
         self._port: serial.Serial | None = None
         self._writing = threading.Lock()
         self._splitter, self._clock = messages.Splitter(), messages.DeviceClock()
-        self._ping, self._ended = (0, 0.0), -math.inf  # the latter of the last window, s
+        self._ping, self._ended = (0, 0.0), -math.inf  # number, s; end of the last window, s
         self._one_question, self._asked = threading.Lock(), ""
         self._answers: dict[str, messages.Answer] = {}
-        self._overdue: dict[str, float] = {}  # letters of answers that were late, s
-        # The session: the last command, when it was said, and the one not yet echoed.
+        self._overdue: dict[str, float] = {}  # letter of a late answer: s when we gave up
+        # The session: its number, the newest command, times (s), and what is not yet echoed.
         self._driving = threading.Lock()
         self._session: int | None = None
-        self._sequence, self._drove, self._refused = 0, -math.inf, -math.inf
+        self._sequence, self._driven_at, self._refused_at = 0, -math.inf, -math.inf
         self._volts: tuple[int, ...] = ()
-        self._said: deque[float] = deque(maxlen=_REMEMBERED)
-        self._unheard: tuple[int, float] | None = None
+        self._sent_at: deque[float] = deque(maxlen=_REMEMBERED)
+        self._not_echoed: tuple[int, float] | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._live, name="serial link", daemon=True)
 
@@ -236,7 +236,7 @@ class SerialLink:
     # All but `stop` raise LinkError: not connected, no answer, or the device's refusal.
 
     def arm(self) -> None:
-        """Ask the device to accept voltages: not when it is stopped, or without supply."""
+        """Make the device accept voltages; it refuses while stopped or without supply."""
         self._require_connected()
         self._status.unasked = ""
         greeting = self._ask("?", answer="H")
@@ -246,10 +246,10 @@ class SerialLink:
         self._status.last_refusal = self._status.silence = ""
         with self._driving:
             self._session = armed.value if isinstance(armed, messages.Accepted) else None
-            # Spoken for from now on, at 0 V.
-            self._sequence, self._volts, self._drove = 0, (0,) * messages.CHANNELS, self._now()
-            self._unheard = None
-            self._said.clear()
+            # 0 V is repeated from now on, until the caller's first command.
+            self._sequence, self._volts, self._driven_at = 0, (0,) * messages.CHANNELS, self._now()
+            self._not_echoed = None
+            self._sent_at.clear()
 
     def limit(self, numbers: Sequence[int]) -> None:
         """Set limits within the device's own (mV, mA mean and peak, mohm, mV and ms of heat)."""
@@ -257,12 +257,12 @@ class SerialLink:
         self._ask("C", *numbers)
 
     def drive(self, millivolts: Sequence[int]) -> None:
-        """Send four voltages (mV). Raises ValueError: not four, or more than can be carried."""
+        """Send four voltages (mV). ValueError: not four, or too large for the protocol."""
         if len(millivolts) != messages.CHANNELS:
             raise ValueError(f"{len(millivolts)} voltages, expected {messages.CHANNELS}")
         with self._driving:
-            self._volts, self._drove = tuple(millivolts), self._now()
-            self._say_volts()
+            self._volts, self._driven_at = tuple(millivolts), self._now()
+            self._send_volts()
 
     def stop(self) -> None:
         """Emergency stop: one byte, never refused; harmless when nothing is connected."""
@@ -271,7 +271,7 @@ class SerialLink:
             self._send(messages.STOP)
 
     def reset(self) -> None:
-        """Forget the latched cause; arming is another request."""
+        """Clear the latched cause; does not arm."""
         self._session = None
         self._require_connected()
         self._ask("R")
@@ -282,18 +282,18 @@ class SerialLink:
         if not self._status.connected:
             raise LinkError(self._status.fault)
 
-    def _say_volts(self) -> None:
+    def _send_volts(self) -> None:
         if self._session is None:
             raise LinkError("not armed")
         self._require_connected()
         sequence = (self._sequence + 1) % NUMBERS
         try:
-            self._say("V", self._session, sequence, *self._volts)
-        except LinkError as error:  # the writer may know before the link's thread does
+            self._send_command("V", self._session, sequence, *self._volts)
+        except LinkError as error:  # the caller may notice before the link's thread does
             raise LinkError(f"not connected: {error}") from None
         self._sequence = sequence
-        self._said.append(self._now())
-        self._unheard = self._unheard or (sequence, self._now())
+        self._sent_at.append(self._now())
+        self._not_echoed = self._not_echoed or (sequence, self._now())
 
     def _send(self, data: bytes) -> None:
         with self._writing:
@@ -304,19 +304,19 @@ class SerialLink:
             except OSError as error:
                 raise LinkError(f"cannot write: {error}") from None
 
-    def _say(self, letter: str, *numbers: int) -> float:
-        """A command whose answer nobody waits for; s that it takes on the cable."""
+    def _send_command(self, letter: str, *numbers: int) -> float:
+        """Send a command without waiting for an answer; returns its time on the cable (s)."""
         data = messages.line(messages.command(letter, *numbers))
         self._send(data)
         return _BITS_PER_BYTE * len(data) / BAUD_RATE
 
     def _ask(self, letter: str, *numbers: int, answer: str = "") -> messages.Answer:
-        """What the device answers to a command; `answer` is its letter where it is another one.
-        Raises LateAnswer: it does not come in time. LinkError: a refusal, or a closed port."""
+        """Send a command and return its answer; `answer`: letter of that, if not the command's.
+        LateAnswer: none in time. LinkError: a refusal, or a closed port."""
         with self._one_question:
             port, self._answers, self._asked = self._port, {}, letter
             try:
-                self._say(letter, *numbers)
+                self._send_command(letter, *numbers)
                 until = self._now() + _ANSWER_TIMEOUT
                 with self._heard:
                     while (found := self._answers.get(answer or letter)) is None:
@@ -331,7 +331,7 @@ class SerialLink:
         return found
 
     def _receive(self, patience: float = _READ_TIMEOUT) -> tuple[list[messages.Message], float]:
-        """What came in within `patience` s, and when (host time). OSError: the port is gone."""
+        """Messages received within `patience` s, and when (host time). OSError: no port."""
         port = self._port
         assert port is not None
         port.timeout = max(patience, 0.0)
@@ -352,17 +352,17 @@ class SerialLink:
                 self._connect()
                 back_off = self.first_back_off
                 self._serve()
-            except Exception as error:  # a thread that died would go on looking connected
+            except Exception as error:  # if the thread died the status would stay "connected"
                 known = isinstance(error, OSError | LinkError | InputError)
                 problem = f"{'' if known else type(error).__name__ + ': '}{error}"
                 with self._heard:
-                    news = self._status.connected or problem != self._status.problem
+                    is_new = self._status.connected or problem != self._status.problem
                     self._status.connected, self._status.problem = False, problem
                     self._heard.notify_all()
-                # After the reason is known: the driver's next command must not get "not armed".
+                # Only now: the caller's next command must get the problem, not "not armed".
                 if self._session is not None:
                     self.stop()
-                if news:
+                if is_new:
                     self._on_event(f"not connected: {problem}")
             with self._writing:
                 lost, self._port = self._port, None
@@ -377,30 +377,30 @@ class SerialLink:
         self._splitter, self._clock = messages.Splitter(), messages.DeviceClock()
         status.not_understood, status.unasked = 0, ""
         self._port = self._open_port()
-        # Opening may have reset the device; asking its bootloader would hold it there.
+        # Opening may have reset the device; bytes would keep it in its bootloader.
         until = self._now() + self.greeting_timeout
         while self._now() < until and not self._closing.is_set():
             if self._receive()[0]:
                 break
-        said: dict[str, Named] = {}
+        lines: dict[str, Named] = {}
         for _ in range(_ASKS):
-            self._send(messages.LINE_END)  # ends what a former host left of a line, and binary mode
-            self._say("T", BINARY_ABOVE)
-            self._say("?")
+            self._send(messages.LINE_END)  # ends an unfinished line of an earlier host
+            self._send_command("T", BINARY_ABOVE)  # ends its binary mode
+            self._send_command("?")
             until = self._now() + _ANSWER_TIMEOUT
-            while self._now() < until and not said.keys() >= set("HLM"):
-                said |= {m.letter: m for m in self._receive()[0] if isinstance(m, Named)}
-            if said.keys() >= set("HLM"):
+            while self._now() < until and not lines.keys() >= set("HLM"):
+                lines |= {m.letter: m for m in self._receive()[0] if isinstance(m, Named)}
+            if lines.keys() >= set("HLM"):
                 break
         else:
             raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
-        device = messages.DeviceIdentity.from_lines(said)
-        trip = messages.Trip.told(said["H"].values)
+        device = messages.DeviceIdentity.from_lines(lines)
+        trip = messages.Trip.from_values(lines["H"].values)
         binary = self._rate > BINARY_ABOVE
-        self._say("B" if binary else "T", self._rate)
+        self._send_command("B" if binary else "T", self._rate)
         self._splitter.expect(binary)
         with self._heard:
-            # The first frame of a connection is not late.
+            # With `newest` None, the first frame does not count as a restart or as losses.
             status.connected, status.device, status.problem = True, device, ""
             status.connections += 1
             status.state, status.cause, status.newest = DeviceState.IDLE, 0, None
@@ -416,32 +416,32 @@ class SerialLink:
             received, now = self._receive(next_ping - self._now())
             for message in received:
                 self._act(message, now)
-            # A host that was stopped itself has not listened: no wait counts for longer than asked.
+            # A host that was suspended itself has not listened: limit what one wait counts for.
             silence = 0.0 if received else silence + min(now - last, _LONGEST_WAIT)
             last = now
-            with self._driving, contextlib.suppress(LinkError):  # its driver is late
-                said = self._said[-1] if self._said else -math.inf
-                if now - said > _REPEAT and now - self._drove < _SPOKEN_FOR:
-                    self._say_volts()
+            with self._driving, contextlib.suppress(LinkError):  # repeat if the caller is late
+                sent = self._sent_at[-1] if self._sent_at else -math.inf
+                if now - sent > _REPEAT_PERIOD and now - self._driven_at < _REPEAT_FOR:
+                    self._send_volts()
             if silence > SILENCE_LIMIT:
                 raise LinkError(f"the device is silent for {silence:.2f} s")
             if now >= next_ping:
                 next_ping = now + _PING_PERIOD
                 number = (self._ping[0] + 1) % NUMBERS
-                # Its last byte leaves when the cable has carried all of them.
-                on_cable = self._say("P", number)
+                # It counts as sent when the cable has carried its last byte.
+                on_cable = self._send_command("P", number)
                 self._ping = number, self._now() + on_cable
             # Not together with a ping: at 500 Hz there is no time for two answers in a window.
             if now >= next_count and next_ping - now < 0.5 * _PING_PERIOD:
                 next_count = now + _COUNTERS_PERIOD
-                self._say("S")
+                self._send_command("S")
 
     def _act(self, message: messages.Message, now: float) -> None:
         status = self._status
         if isinstance(message, Named | messages.Accepted | Refused):
-            # Before it is handed over: whoever asked may be gone a moment later.
+            # Compare before handing over: the thread that asked then clears `_asked`.
             letter = message.letter
-            foreign = letter in _ALWAYS_ASKED and letter != self._asked
+            foreign = letter in _DRIVING_COMMANDS and letter != self._asked
             if isinstance(message, Refused) and letter == "V":
                 foreign = message.reason == _NOT_OUR_SESSION
             if foreign and now - self._overdue.pop(letter, -math.inf) > _LATEST:
@@ -457,19 +457,19 @@ class SerialLink:
                 status.clock_uncertainty = self._clock.uncertainty
         elif isinstance(message, Refused):
             status.refused += 1
-            status.last_refusal, self._refused = str(message), now
+            status.last_refusal, self._refused_at = str(message), now
         elif isinstance(message, Named) and message.letter == "S":
-            status.trip = messages.Trip.told(message.values)
+            status.trip = messages.Trip.from_values(message.values)
             status.counters = {k: v for k, v in message.values.items() if "trip" not in k}
         elif isinstance(message, Named) and message.letter == "H" and "nonce" not in message.values:
-            # Clock and count may have gone on as if nothing had happened: a host that stood still
-            # for as long as the device ran before sees no step.
+            # The greeting of a restart. Clock and sequence may show no step: if this host was
+            # suspended for as long as the device had run before, they seem to go on.
             raise LinkError("the device restarted by itself")
         if not isinstance(message, Telemetry):
             return
         # A window of readings.
         if message.state > max(DeviceState):
-            raise LinkError(f"the device is in state {message.state}, which nobody knows here")
+            raise LinkError(f"device state {message.state}, expected 0 to {max(DeviceState):d}")
         if status.restarted(message, round(1e6 / self._rate)):
             raise LinkError("the device restarted by itself")
         with self._heard:
@@ -480,24 +480,24 @@ class SerialLink:
         if status.stopped and not stopped_already:
             self._session = None
             self._on_event(f"the device stopped: {status.cause_text}")
-        if self._unheard is not None:
-            sequence, sent = self._unheard
+        if self._not_echoed is not None:
+            sequence, sent = self._not_echoed
             if (message.echo - sequence) % NUMBERS < NUMBERS // 2:
-                status.command_latency, self._unheard = now - sent, None
+                status.command_latency, self._not_echoed = now - sent, None
         self._clock.heard(message.time_us, now)
         ended = self._clock.host_time(message.time_us)
         if not math.isnan(ended):
-            # A window cannot end after it was received, nor before the one before it: what is known
-            # of the device's clock gets better meanwhile, in the first seconds by milliseconds.
+            # A window cannot end after it was received or before the previous one, though the
+            # estimate of the device's clock still changes, by milliseconds in the first seconds.
             self._ended = max(min(ended, now), self._ended + _TICK)
             self._on_reading(message._replace(time=self._ended - 0.5 / self._rate))
 
     def _why_silent(self, now: float) -> str:
         with self._driving:
-            said = (*self._said, now)
+            times = (*self._sent_at, now)
         device = self._status.device
-        pause = max((after - before for before, after in pairwise(said)), default=0.0)
+        pause = max((after - before for before, after in pairwise(times)), default=0.0)
         timeout = device.command_timeout if device else math.inf
         if pause > _LONG_PAUSE * timeout:
             return f"this computer sent nothing for {pause:.2f} s"
-        return self._status.last_refusal if now - self._refused < 2.0 * timeout else ""
+        return self._status.last_refusal if now - self._refused_at < 2.0 * timeout else ""

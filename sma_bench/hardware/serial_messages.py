@@ -14,7 +14,7 @@ import numpy as np
 from sma_bench.errors import InputError
 
 LINE_END, FRAME_END, STOP = b"\n", b"\0", b"!"
-_LONGEST = 512  # bytes, far above any message: what is longer has lost its end
+_LONGEST = 512  # bytes, far above any message: more means that a delimiter was lost
 
 
 def checksum(body: bytes) -> int:
@@ -50,14 +50,14 @@ def open_frame(stuffed: bytes) -> bytes | None:
 
 
 class Splitter:
-    """Cuts a stream of bytes into the bodies of messages; `damaged` counts those that were none."""
+    """Cuts a stream of bytes into the bodies of messages; `damaged` counts invalid ones."""
 
     def __init__(self) -> None:
         self.damaged = 0
         self.expect(binary=False)
 
     def expect(self, binary: bool) -> None:
-        """Forget what is pending and expect frames (`binary`) or lines from here on."""
+        """Drop pending bytes and expect frames (`binary`) or lines from here on."""
         self._pending, self._binary = b"", binary
         self._in_step = False  # the first piece may have begun before this host listened
 
@@ -116,7 +116,7 @@ class Telemetry(NamedTuple):
     duty: tuple[float, float, float, float]  # share of time on, read back from the output
     echo: int  # sequence number of the last accepted command
     drop: tuple[float, float] = (0.0, 0.0)  # V that a pulse of a board takes from the supply
-    time: float = math.nan  # of acquisition: host s, the middle of the window
+    time: float = math.nan  # of acquisition: the host's s at the middle of the window
 
 
 class Named(NamedTuple):
@@ -140,7 +140,7 @@ class Refused(NamedTuple):
 
 
 class Pong(NamedTuple):
-    """The device's clock when the ping came and when the answer went."""
+    """The device's clock when the ping arrived and when the answer left."""
 
     identity: int
     arrived_us: int
@@ -169,7 +169,7 @@ def decode(body: bytes) -> Message:
     packed = body[1:] if body[:1] == b"B" and len(body) == 1 + _BINARY.size else b""
     try:
         letter, *fields = [""] if packed else body.decode("ascii").split(" ")
-        if letter == "T":  # packing refuses what a frame could not carry
+        if letter == "T":  # packing rejects numbers that a frame could not hold
             packed = _BINARY.pack(*map(int, fields))
         if packed:
             sequence, time_us, state, cause, supply, *rest, echo = _BINARY.unpack(packed)
@@ -193,21 +193,21 @@ def decode(body: bytes) -> Message:
 
 
 class Trip(NamedTuple):
-    """Why the device stopped last, kept over the loss of its power."""
+    """Why the device last stopped; it stores this without power."""
 
-    cause: int  # 0: it never did
-    seconds: float  # after the start before it
-    open: bool  # nobody has acknowledged it
+    cause: int  # 0: it never stopped
+    seconds: float  # from the start before it
+    open: bool  # not yet acknowledged
 
     @classmethod
-    def told(cls, values: Mapping[str, str]) -> "Trip | None":
-        """From an H or S line; None of a firmware that keeps none. InputError: no numbers."""
-        said = [values.get(key, "") for key in ("trip", "trip_ds", "trip_open")]
-        if not any(said):
+    def from_values(cls, values: Mapping[str, str]) -> "Trip | None":
+        """From an H or S line; None if the firmware stores no trips. InputError: not numbers."""
+        words = [values.get(key, "") for key in ("trip", "trip_ds", "trip_open")]
+        if not any(words):
             return None
-        if not all(map(str.isdecimal, said)):
-            raise InputError(f"the device's last trip is {said}, expected three numbers")
-        cause, tenths, is_open = map(int, said)
+        if not all(map(str.isdecimal, words)):
+            raise InputError(f"the device's last trip is {words}, expected three numbers")
+        cause, tenths, is_open = map(int, words)
         return cls(cause, 0.1 * tenths, is_open > 0)
 
     def __str__(self) -> str:
@@ -220,7 +220,7 @@ class Trip(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """Name, build and limits (V, A, s, ohm) of a handshake; `hot_voltage`: rms over `hot_time`."""
+    """The device's handshake: name, build, limits (V, A, s, ohm; hot_voltage: rms in hot_time)."""
 
     name: str
     build: str
@@ -236,41 +236,41 @@ class DeviceIdentity:
 
     @classmethod
     def from_lines(cls, lines: Mapping[str, Named]) -> "DeviceIdentity":
-        """From H, L and M lines. InputError: another protocol or number of channels, or a gap."""
-        said = {key: value for line in lines.values() for key, value in line.values.items()}
+        """From H, L, M lines. InputError: another protocol or number of channels, a missing key."""
+        values = {key: value for line in lines.values() for key, value in line.values.items()}
         try:
             for key, expected in (("protocol", PROTOCOL_VERSION), ("channels", CHANNELS)):
-                if int(said[key]) != expected:
-                    raise ValueError(f"the device has {key} {said[key]}, expected {expected}")
-            cause, flags = int(said["before"]), int(said["reset"])
+                if int(values[key]) != expected:
+                    raise ValueError(f"the device has {key} {values[key]}, expected {expected}")
+            cause, flags = int(values["before"]), int(values["reset"])
             reset = ", ".join(name for bit, name in RESETS if flags & bit) or "unknown"
             stopped = f", after: {name_of(CAUSES, cause)}" if cause else ""
-            volts, timeout, mean, peak, low, high, *rest = (1e-3 * int(said[key]) for key in (
+            volts, timeout, mean, peak, low, high, *rest = (1e-3 * int(values[key]) for key in (
                 "max_mv", "timeout_ms", "mean_ma", "peak_ma", "supply_min_mv", "supply_max_mv",
                 "least_mohm", "hot_mv", "hot_ms"))
-            return cls(said["name"], said["build"], reset + stopped, volts, timeout, mean, peak,
-                       (low, high), *rest)
+            return cls(values["name"], values["build"], reset + stopped, volts, timeout, mean,
+                       peak, (low, high), *rest)
         except KeyError as error:
             raise InputError(f"handshake: {error.args[0]} is missing") from None
         except ValueError as error:
             raise InputError(f"handshake: {error}") from None
 
 
-# --- The device's microseconds on the host's clock, from what was heard earliest.
+# --- The device's clock in host time, from the messages with the least delay.
 
 _MOST_DRIFT = 1e-2  # an Uno's ceramic resonator is good for half a percent; twice that is broken
-_BIN, _WINDOW = 0.1, 30.0  # s of the device's clock: one point a bin, the earliest heard
+_BIN, _WINDOW = 0.1, 30.0  # s of the device's clock; of each bin the least delayed message is used
 _PINGS = 400
-# Of the pings: the share whose answers came most promptly, and of these the one in the way there.
-_PROMPT, _FEWEST_PROMPT, _SOONEST = 0.1, 5, 0.2
+_PROMPT, _FEWEST_PROMPT = 0.1, 5  # share and least number of pings: those answered most promptly
+_SOONEST = 0.2  # quantile of the delay to the device among these
 _Points = deque[tuple[float, float]]  # device s, host s
 
 
 class DeviceClock:
-    """Host time = offset + (1 + drift) device time; host times are s of one monotonic clock. A
-    delay only makes a message later: the latest line that no frame was heard before has the drift,
-    behind the device's clock by the least time that a frame takes (Moon, Skelly, Towsley, INFOCOM
-    1999). How far, pings show: the soonest question there and answer back took equally long."""
+    """Host time = offset + (1 + drift) device time; host times are s of one monotonic clock. Delays
+    only make messages later: the highest line below all arrivals has the drift, and lies behind
+    the device's clock by the least delay of a frame (Moon, Skelly, Towsley, INFOCOM 1999). Pings
+    give this delay, if the fastest ways to the device and back are equally long."""
 
     def __init__(self) -> None:
         self._last_us: int | None = None
@@ -278,14 +278,14 @@ class DeviceClock:
         self._pings: deque[tuple[float, float, float, float]] = deque(maxlen=_PINGS)
         self._origin = (math.nan, math.nan)
         self.drift = 0.0  # host seconds per device second, less one
-        self.uncertainty = math.inf  # s: half of what the quickest ways there and back took
+        self.uncertainty = math.inf  # s: half of the least delay to the device and back
 
     def heard(self, time_us: int, heard: float) -> None:
-        """A frame of the device's time `time_us` was heard at `heard` (s)."""
+        """Note a frame that the device stamped `time_us` and that arrived at `heard` (s)."""
         _keep(self._frames, self._seconds(time_us), heard)
 
     def add(self, sent: float, arrived_us: int, left_us: int, heard: float) -> None:
-        """A ping that had left the host at `sent` and whose answer was heard at `heard` (s)."""
+        """Note a ping that left the host at `sent` (s); its answer arrived at `heard` (s)."""
         arrived, left = self._seconds(arrived_us), self._seconds(left_us)
         if heard < sent or left < arrived:
             return
@@ -293,14 +293,14 @@ class DeviceClock:
         self._pings.append((sent, arrived, left, heard))
         while self._pings[0][1] < arrived - _WINDOW:
             self._pings.popleft()
-        # The line that nothing was heard before, and how far it lies behind.
+        # The line below all arrivals, and the delays of the pings relative to it.
         sents, arrivals, lefts, heards = np.array(self._pings).T
         many = 2 * len(self._frames) > len(self._answers)
         level, self.drift = _line_below(self._frames if many else self._answers, arrived)
         back = heards - level - (1.0 + self.drift) * (lefts - arrived)
         there = level + (1.0 + self.drift) * (arrivals - arrived) - sents
-        # A device that is late itself (an emulated one) seems to have been asked sooner than it
-        # was: only the pings with prompt answers show what the way there takes.
+        # If the device's own clock lags (an emulated one), the way there looks shorter than it is:
+        # only pings with prompt answers show its length.
         prompt = np.argsort(back)[: max(_FEWEST_PROMPT, round(_PROMPT * len(back)))]
         soonest, quickest = float(np.quantile(there[prompt], _SOONEST)), float(back.min())
         self._origin = (arrived, level - 0.5 * (soonest - quickest))
@@ -320,7 +320,7 @@ class DeviceClock:
 
 
 def _keep(points: _Points, device: float, host: float) -> None:
-    """Keep a message if it came earliest in its bin."""
+    """Add a message if it is the least delayed of its bin."""
     if points and int(points[-1][0] / _BIN) == int(device / _BIN):
         if host - device < points[-1][1] - points[-1][0]:
             points[-1] = (device, host)
@@ -331,8 +331,8 @@ def _keep(points: _Points, device: float, host: float) -> None:
 
 
 def _line_below(points: _Points, reference: float) -> tuple[float, float]:
-    """Host time at device time `reference`, and the drift, of the line below all points that comes
-    closest to them in the mean: the edge of their lower convex hull there."""
+    """Host time at device time `reference`, and drift, of the line below all points that is closest
+    to them on average: an edge of their lower convex hull."""
     device, host = np.array(points).T
     x, late = device - reference, host - device
     left, right, drift, middle = 0, len(points) - 1, 0.0, x.mean()

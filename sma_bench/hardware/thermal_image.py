@@ -1,9 +1,9 @@
-"""Pictures of an infrared camera, real and synthetic: pixel values, radiance, emissivity of a wire.
+"""Images of an infrared camera, real and synthetic: pixel values, radiance, emissivity of a wire.
 
 A frame is an array (height, width) of pixel values as the Optris drivers publish them, T[degC] =
 (value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response, as
-the maker publishes none. In ratios of radiances it matters little: one that falls to half at 13 um
-changes a temperature corrected from 0.5 to 1 of emissivity at 100 degC by 0.4 K."""
+the maker publishes none. It matters little, as only ratios of radiances count: a response that
+falls to half at 13 um changes the correction of an emissivity of 0.5 at 100 degC by 0.4 K."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -30,9 +30,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 _HALF_BAND = (BAND[1] - BAND[0]) / 2
 _WAVELENGTHS = (BAND[0] + BAND[1]) / 2 + _HALF_BAND * _NODES
 _PLANCK_FACTORS = _PLANCK_1 / _WAVELENGTHS**5 * _WEIGHTS * _HALF_BAND
-# Of synthetic pictures: how many there is noise for; standard deviations of the blur from a wire's
-# edge to where it has ended; of their size, from their border to the ends of a wire across all.
-_NOISE_PICTURES, _BLURRED_AWAY, _MARGIN = 8, 5.0, 0.05
+_NOISE_PICTURES = 8  # synthetic noise is drawn once, for so many images
+_BLURRED_AWAY = 5.0  # standard deviations of the blur, from a wire's edge to where it has no effect
+_MARGIN = 0.05  # of the image's width, from its border to the ends of a wire
 
 
 def decode_frame(size: tuple[int, int], encoding: str, width: int, height: int, step: int,
@@ -40,14 +40,14 @@ def decode_frame(size: tuple[int, int], encoding: str, width: int, height: int, 
     """Pixel values (height, width) of an image message's fields; `size`: expected width and height;
     `step`: bytes from row to row. Raises InputError: wrong encoding, size or number of bytes."""
     flat = np.frombuffer(data, np.uint8)  # type: ignore[call-overload]
-    for wrong, said in (
+    for wrong, problem in (
         (encoding != ENCODING, f"has encoding {encoding!r}, expected {ENCODING!r}"),
         ((width, height) != size, f"is {width} x {height}, expected {size[0]} x {size[1]}"),
         (step < 2 * width, f"has step {step}, expected {2 * width} or more"),
         (flat.size < height * step,
          f"has {flat.size} bytes, expected {height * step} ({height} x {step})")):
         if wrong:
-            raise InputError(f"thermal_image {said}")
+            raise InputError(f"thermal_image {problem}")
     rows = flat[: height * step].reshape(height, step)[:, : 2 * width]
     pixels = np.ascontiguousarray(rows).view(">u2" if big_endian else "<u2")
     return pixels.astype(np.uint16, copy=False)
@@ -69,7 +69,7 @@ def band_radiance(kelvin: ArrayLike) -> Array:
     return (_PLANCK_FACTORS / np.expm1(_PLANCK_2 / (_WAVELENGTHS * temperature))).sum(axis=-1)
 
 
-# Radiance of every pixel value there is; strictly rising, so that it can be read backwards.
+# Radiance of every possible pixel value; strictly rising, hence invertible.
 _TABLE_KELVIN = kelvin_from_raw(np.arange(2**16))
 _TABLE = band_radiance(_TABLE_KELVIN)
 _TABLE_SLOPE = np.gradient(_TABLE) * RAW_PER_KELVIN
@@ -93,10 +93,10 @@ def slope_at(kelvin: float) -> float:
 
 @dataclass(frozen=True)
 class Surface:
-    """What a wire does to radiation, each number with one standard deviation."""
+    """Radiative properties of a wire, with one standard deviation each."""
 
     emissivity: float  # in the camera's band, above 0, at most 1
-    reflected_temperature: float  # K, of the surroundings that the wire mirrors (a black body's)
+    reflected_temperature: float  # K, of the surroundings that the wire reflects (black bodies)
     emissivity_std: float = 0.0
     reflected_std: float = 0.0
 
@@ -112,12 +112,12 @@ class Surface:
         return float(band_radiance(self.reflected_temperature))
 
     def apparent(self, kelvin: ArrayLike) -> Array:
-        """Radiance that comes from the surface of a wire at these temperatures in K."""
+        """Radiance, emitted and reflected, of the surface of a wire at these K."""
         return self.emissivity * band_radiance(kelvin) + (1.0 - self.emissivity) * self._reflected
 
     def temperature(self, apparent: float, apparent_std: float) -> tuple[float, float]:
-        """K and its standard deviation from the surface's apparent = e L(T) + (1 - e)
-        L(T_reflected), first order in independent deviations; NaN where 173 K would emit more."""
+        """Temperature (K) and its standard deviation (first order) from the radiance apparent =
+        e L(T) + (1 - e) L(T_reflected); NaN if L(T) is less than that of 173 K."""
         reflected, mirrored = self._reflected, 1.0 - self.emissivity
         emitted = (apparent - mirrored * reflected) / self.emissivity
         kelvin = float(temperature_of(emitted))
@@ -127,7 +127,7 @@ class Surface:
 
 
 class SyntheticWire(NamedTuple):
-    """A straight wire, until it bends: (x, y) of its clamped and its other end, width; pixels."""
+    """A wire, straight at rest: (x, y) of its clamped and its free end, and its width; pixels."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -139,15 +139,15 @@ class SyntheticWire(NamedTuple):
 
 
 class SyntheticCamera:
-    """Takes pictures of wires, with known truth; the same seed takes the same ones."""
+    """Renders images of wires of known temperature; the same seed gives the same images."""
 
     def __init__(self, width: int, height: int, wires: Sequence[SyntheticWire],
                  surface: Surface = Surface(1.0, 296.15),  # noqa: B008 (frozen)
                  background: float = 296.15, unevenness: float = 0.0, blur: float = 0.7,
                  noise: float = 0.08, seed: int = 1) -> None:
-        """The scene's size in pixels, the wires' surface, the apparent `background` (K) and by
-        how much its lower right corner is warmer (`unevenness`, K), the `blur` of lens and detector
-        (standard deviation in pixels; a pixel's own square adds), `noise` of a pixel (K, NETD)."""
+        """Image size (pixels), the wires' surface, the apparent `background` (K), `unevenness` (K)
+        by which its lower right corner is warmer, `blur` of lens and detector (standard deviation
+        in pixels, without a pixel's own square), `noise` of a pixel (K, NETD)."""
         self.shape = (height, width)
         self._wires, self._surface, self._blur = tuple(wires), surface, blur
         y, x = np.mgrid[0:height, 0:width]
@@ -160,11 +160,11 @@ class SyntheticCamera:
 
     @classmethod
     def of(cls, parameters: Parameters, settings: Mapping[str, Any]) -> "SyntheticCamera":
-        """The camera of the parameters of `synthetic_camera`, a wire a channel. Raises InputError:
-        wires that do not fit the channels, or that are not four numbers each."""
+        """From the parameters of `synthetic_camera`, one wire per channel. InputError: another
+        number of wires than of channels, or a wire that is not four numbers."""
         width, height = settings["image_width"], settings["image_height"]
         channels, texts = parameters["bench.channels"], settings["wires"]
-        if not any(texts):  # side by side across the whole picture
+        if not any(texts):  # side by side across the whole image
             rows = [height * (k + 0.5) / len(channels) for k in range(len(channels))]
             left, right = _MARGIN * width, (1.0 - _MARGIN) * width
             texts = [f"{left!r} {row!r} {right!r} {row!r}" for row in rows]
@@ -184,8 +184,8 @@ class SyntheticCamera:
                    **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")})
 
     def picture(self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0) -> Frame:
-        """A frame (height, width) of wires at these K, one a wire, whose ends have moved `sideways`
-        pixels (for all or each), as beams of constant curvature. InputError: not one K a wire."""
+        """A frame (height, width) of wires at these temperatures (K), with free ends moved by
+        `sideways` pixels (all or each), as constant curvature. InputError: not one K per wire."""
         if len(kelvin) != len(self._wires):
             raise InputError(f"synthetic camera: {len(kelvin)} temperatures for "
                              f"{len(self._wires)} wires")
@@ -209,18 +209,18 @@ class SyntheticCamera:
 
     def _draw(self, raw: NDArray[np.float32], wire: SyntheticWire, surface: float,
               shift: float) -> None:
-        """Add the wire's part to pixel values: what it changes in the scene without it."""
+        """Add the change that the wire makes to the pixel values of the scene."""
         turned = wire.along_x
         scene, bare, target = (a.T if turned else a
                                for a in (self._scene_radiance, self._scene, raw))
-        # Lines that it crosses, where it does, and its width along a line over that across.
+        # Lines that it crosses, its centre in each, and its width along a line over its true width.
         (first, begin), (last, end) = (p if turned else p[::-1] for p in (wire.start, wire.end))
         low, high = math.ceil(min(first, last)), math.floor(max(first, last))
         line = np.arange(max(low, 0), min(high, len(scene) - 1) + 1)
         position = (line - first) / (last - first)
         centre = begin + (end - begin) * position + shift * position**2
         tilt = np.hypot(1.0, (end - begin + 2.0 * shift * position) / (last - first))
-        # What the pixels near it see of it, and of what is behind.
+        # The pixels near it see a share of it, and the scene behind it.
         reach = math.ceil((wire.width / 2 + _BLURRED_AWAY * self._blur + 1) * tilt.max(initial=1.0))
         columns = np.rint(centre).astype(int)[:, np.newaxis] + np.arange(-reach, reach + 1)
         inside = (columns >= 0) & (columns < scene.shape[1])
@@ -233,8 +233,8 @@ class SyntheticCamera:
 
 
 def pixel_share(distance: Array, width: float, blur: float) -> Array:
-    """Share of a pixel's view that a wire fills, its middle `distance` pixels away: the wire's
-    slit, the pixel's square and a Gaussian of standard deviation `blur`, convolved."""
+    """Share of a pixel's view filled by a wire whose middle is `distance` pixels away: a slit (the
+    wire), a square (the pixel) and a Gaussian of standard deviation `blur`, convolved."""
     half = np.array([1.0 + width, 1.0 - width, width - 1.0, -1.0 - width]) / 2.0
     edges = distance + half.reshape(4, *(1,) * np.ndim(distance))
     if blur == 0.0:
@@ -250,6 +250,6 @@ def _rounded(raw: NDArray[np.float32]) -> Frame:
 
 
 def regions_side_by_side(channels: int, width: int, height: int) -> list[str]:
-    """Regions for wires side by side across the whole picture, as `SyntheticCamera` draws them."""
+    """Regions for wires side by side across the whole image, as `SyntheticCamera` draws them."""
     strip = height // channels
     return [f"0 {k * strip} {width} {strip} x" for k in range(channels)]

@@ -1,7 +1,7 @@
-"""Which pictures of a camera are to be trusted, where a wire runs in them, its temperature there,
-frame after frame, and what the camera's node reports of all that. No ROS.
+"""Wire temperatures from infrared images: rejects bad frames, finds the wire, reads its
+temperature, and makes the diagnostics of the camera's node. No ROS.
 
-The picture is turned so that the wire crosses every row: arrays are (lines, pixels across). The
+The image is turned so that the wire crosses every row: arrays are (lines, pixels across). The
 ridge is the best path by dynamic programming through groups of lines, then a smooth curve.
 
 A wire thinner than a pixel fills it in part, and the lens smears it over several. Blur moves
@@ -25,39 +25,39 @@ from sma_bench.parameters import Parameters
 
 GROUP = 6  # lines that are averaged before the search
 _SHIFT = 4  # pixels from one group to the next: 37 degrees of tilt
-CLEAR = 4.0  # by which a wire stands out; a ridge in pure noise had 3.2 at most (6000 pictures)
-# A group of lines shows the wire from this height on, in noise and in the median group's height.
+CLEAR = 4.0  # least height of a wire's ridge over noise; pure noise had 3.2 at most (6000 images)
+# A group shows the wire from this height on, over the noise and the median group; how many must.
 _GROUP_VISIBLE, _GROUP_TYPICAL, _FEWEST_GROUPS = 2.5, 0.3, 3
 _GAP, _RING = 3, 4  # pixels beside the wire that its blur may reach, and of background beyond
-# Of the curve through the groups: its degree, groups for each, fits, and pixels that they lie off.
-_HIGHEST_DEGREE, _GROUPS_A_DEGREE, _FITS, _OFF_CURVE = 4, 4, 3, 2.0
+_HIGHEST_DEGREE, _GROUPS_PER_DEGREE = 4, 4  # of the polynomial through the groups
+_FITS, _OFF_CURVE = 3, 2.0  # of that polynomial; pixels off it, from which a group is left out
 _SCALE_OF_MAD = 1.4826
 STATISTICS = ("mean", "median", "hottest")
-_BLUR, _NEAR, _FAR = 4, 3, 3  # pixels: of its blur from half the wire on, and of background
-_MEDIAN_OVER_MEAN = 1.2533  # standard deviations of the two, of Gaussian noise
+_BLUR, _NEAR, _FAR = 4, 3, 3  # pixels from the wire's edge: its blur, then two rings of background
+_MEDIAN_OVER_MEAN = 1.2533  # standard deviation of the median over that of the mean, Gaussian noise
 _WIDEST_TILT, _HIGHEST_FILL = 1.3, 1.15
-_MOST_RIPPLE = 0.25  # of the wire's peak, beside it
-_HALF_STEP = 0.5 / image.RAW_PER_KELVIN  # K; at the end of the camera's range pixels are that end
-# A wire this many times clearer than the least visible one does not fade within this time [s].
+_MOST_RIPPLE = 0.25  # highest unevenness beside the wire, of the wire's peak
+_HALF_STEP = 0.5 / image.RAW_PER_KELVIN  # K; pixels so near the end of the range are saturated
+# A wire this many times clearer than the least visible one cannot cool unseen in this time (s).
 _TOO_CLEAR_TO_FADE, _NO_TIME_TO_FADE = 4.0, 0.1
-_SPARSE = 4  # every so many pixels each way show whether a frame is one uniform surface
-_BELIEVED = 0.3  # of the modelled rise in temperature: parameters may be off by a factor
+_SPARSE = 4  # only every so many pixels each way are compared to find a uniform frame
+_EXPECTED_SHARE = 0.3  # of the modelled temperature rise: parameters may be off by a factor
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 
 
 class Region(NamedTuple):
-    """Part of a picture that one wire stays in, in pixels from the upper left corner."""
+    """Part of an image that one wire stays in, in pixels from the upper left corner."""
 
     x: int
     y: int
     width: int
     height: int
-    along_x: bool  # the wire runs along the rows of the picture, not along its columns
+    along_x: bool  # the wire runs along the rows of the image, not along its columns
 
     @classmethod
     def parse(cls, text: str, frame_width: int, frame_height: int, where: str) -> "Region":
-        """Region of `X Y WIDTH HEIGHT [x|y]`; "" is the whole frame. The letter is the wire's
-        direction, else the longer side. InputError: another form, outside the frame, too small."""
+        """Region from `X Y WIDTH HEIGHT [x|y]`; "" is the whole frame. The letter is the wire's
+        direction (default: the longer side). InputError: bad text, beyond the frame, too small."""
         words = text.split() or ["0", "0", str(frame_width), str(frame_height)]
         direction = words.pop() if words[-1] in ("x", "y") else ""
         if len(words) != 4 or not all(word.isdecimal() for word in words):
@@ -80,10 +80,10 @@ class Region(NamedTuple):
 
 
 class Optics(NamedTuple):
-    """How a wire appears to the camera."""
+    """How a wire appears to the camera, and how it is read."""
 
     width: float  # of the wire, pixels
-    width_std: float  # of that, relative
+    width_std: float  # relative to the width
     lowest: float  # K, of the camera's measuring range
     highest: float
     accuracy: float  # K, standard deviation of the camera's calibration, common to all pixels
@@ -93,7 +93,7 @@ class Optics(NamedTuple):
 
 
 class WireReading(NamedTuple):
-    """What a frame says about a wire; temperature and deviation are NaN where there is a reason."""
+    """A wire's reading from one frame; `reason`: why temperature and deviation are NaN."""
 
     kelvin: float = math.nan
     std: float = math.nan  # K
@@ -108,7 +108,7 @@ class WireReading(NamedTuple):
 
 
 class Ridge(NamedTuple):
-    """A wire's way through its region, a value a line."""
+    """A wire's path through its region, one value per line."""
 
     centre: Array  # pixel across from the region's border
     slope: Array  # its change per line
@@ -117,14 +117,14 @@ class Ridge(NamedTuple):
 
 
 def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
-    """The brightest ridge along the region; None where none stands out. A hot spot does not attract
-    it: no group of lines counts more than the median one."""
+    """The brightest ridge along the region; None if none stands out. No group of lines counts more
+    than the median one, so that a hot spot does not attract it."""
     typical = float(np.median(height.max(axis=1)))
-    # Beside a valley the surroundings look like ridges, of half its depth.
+    # On both sides of a valley the surroundings look like ridges of half its depth.
     if noise == 0.0 or typical < float(np.median(-height.min(axis=1))) / 1.5:
         return None
     scores = np.minimum(height, typical) / noise
-    # Pixel of every group on the path of the highest sum that shifts by `_SHIFT` at most.
+    # Pixel of each group on the path with the highest sum; from group to group at most `_SHIFT`.
     groups, across = scores.shape
     totals = np.full((groups, across + 2 * _SHIFT), -np.inf)
     inside = slice(_SHIFT, _SHIFT + across)
@@ -141,18 +141,18 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
     visible = along > max(_GROUP_VISIBLE, _GROUP_TYPICAL * typical / noise)
     if visible.sum() < _FEWEST_GROUPS or along[visible].mean() < CLEAR:
         return None
-    # A polynomial through the visible groups; none where they do not lie on one curve.
+    # A polynomial through the visible groups; no ridge if they do not lie on one curve.
     at, line = (np.arange(groups) + 0.5) * GROUP - 0.5, np.arange(lines)
     good = visible.copy()
     for _ in range(_FITS):
-        degree = min(_HIGHEST_DEGREE, int(good.sum()) // _GROUPS_A_DEGREE)
+        degree = min(_HIGHEST_DEGREE, int(good.sum()) // _GROUPS_PER_DEGREE)
         curve = Polynomial.fit(at[good], path[good].astype(float), degree, domain=[0.0, lines])
         before, good = good, visible & (np.abs(path - curve(at)) < _OFF_CURVE)
         if good.sum() < visible.sum() / 2:
             return None
         if (good == before).all():
             break
-    # Seen between its ends; the groups in which these lie show only part of it.
+    # Seen between the wire's ends, without the groups that hold an end.
     centre, slope = curve(line), curve.deriv()(line)
     first, last = np.flatnonzero(good)[[0, -1]]
     first += first > 0
@@ -164,24 +164,24 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
 
 def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image.Surface,
               cold: bool = False) -> WireReading:
-    """Find the wire in its region and read it; the reason says why that cannot be. With `cold`, a
-    dark line where there is no bright one is taken for the wire."""
+    """Find the wire in its region and read it. With `cold`, a dark line counts as the wire if there
+    is no bright one."""
     half = math.ceil(optics.width * _WIDEST_TILT / 2) + _BLUR
     reach = half + _NEAR + _FAR
-    # Its region, turned, with up to so many more pixels on both sides as the frame has.
+    # The region, turned, with `reach` more pixels on both sides, as far as the frame has them.
     turned = frame.T if region.along_x else frame
     first, line = (region.y, region.x) if region.along_x else (region.x, region.y)
     (length, across), begin = region.shape, min(first, reach)
     rows = turned[line : line + length, first - begin : first + across + reach]
     radiance = image.radiance_of_raw(rows)
-    # How far each pixel of a group of lines rises above those beside it (groups, across), the noise
-    # of that, and the excess, summed across the wire, of one that could just be seen.
+    # Height of each pixel of a group of lines above its surroundings (groups, across), its noise,
+    # and the least radiance of a wire, over the background, that could be seen.
     groups = len(radiance) // GROUP
     grouped = radiance[: groups * GROUP].reshape(groups, GROUP, -1).mean(axis=1, dtype=float)
     near = (round(optics.width) + _GAP) // 2
     far = near + _RING
     inner, outer = 2 * near + 1, 2 * far + 1
-    # Beyond the border the trend there goes on.
+    # Extrapolate the trend beyond the border.
     beyond = np.pad(grouped, ((0, 0), (far, far)), mode="reflect", reflect_type="odd")
     own, both = (uniform_filter1d(beyond, n, axis=1)[:, far:-far] for n in (inner, outer))
     height = ((own - both) * (outer / (outer - inner)))[:, begin : begin + across]
@@ -198,7 +198,7 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
         what = "wire colder than its" if dark else "no wire stands out from the"
         return WireReading(reason=f"{what} background of {beside - CELSIUS_ZERO:.1f} degC",
                            background=beside, limit=least / image.slope_at(beside))
-    # Lines in which the wire is seen with all of its surroundings.
+    # Lines in which the wire and all of its surroundings are in the frame.
     middle = np.rint(ridge.centre).astype(int) + begin
     lines = np.flatnonzero(ridge.seen & (middle >= reach) & (middle + reach < radiance.shape[1]))
     visible = len(lines) / length
@@ -216,10 +216,10 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
 
 def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
               surface: image.Surface) -> WireReading:
-    """The reading from radiances (lines, pixels) with the wire in their middle. The standard
-    deviation holds the pixels' noise and quantisation (from the frame itself), the background's
+    """The reading from radiances (lines, pixels) with the wire in the middle. Its standard
+    deviation includes the pixels' noise and quantisation (from the frame itself), the background's
     curvature, width, emissivity, reflected temperature and the camera's accuracy."""
-    # Excess over the background, a line each.
+    # Excess over the background in each line.
     distance = np.abs(np.arange(window.shape[1]) - window.shape[1] // 2)
     near = window[:, (distance > half) & (distance <= half + _NEAR)].mean(axis=1)
     far = window[:, distance > half + _NEAR].mean(axis=1)
@@ -227,12 +227,12 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     excess = window[:, distance <= half] - beside[:, np.newaxis]
     pixels, background = excess.shape[1], float(np.median(beside))
     beside_kelvin = float(image.temperature_of(background))
-    # The wire's surface, and what the steps of the pixel values leave open of it.
+    # Radiance of the wire's surface, and its uncertainty by the rounding of the pixel values.
     step = image.slope_at(beside_kelvin) / image.RAW_PER_KELVIN
     if optics.correct_fill:
         over_width = 1.0 / optics.width
         surfaces = beside + excess.sum(axis=1) / (optics.width * tilt)
-        # Noise of s steps dithers the rounding: what is left of it has the amplitude
+        # Noise of s steps dithers the rounding: its remaining error has the amplitude
         # exp(-2 (pi s)^2)/pi steps (Widrow and Kollar, Quantization Noise, 2008).
         noise = _line_noise(beside) * math.sqrt(2 * (_NEAR + _FAR))
         dithered = math.exp(-2.0 * (math.pi * noise / step) ** 2)
@@ -240,7 +240,7 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     else:
         over_width = 0.0
         surfaces = beside + excess[:, pixels // 2]
-        # The median of rounded values is a rounded value.
+        # The median of rounded values is rounded, too.
         rounding = step / math.sqrt(12.0)
     noise = _line_noise(surfaces)
     if optics.statistic == "hottest":
@@ -256,7 +256,7 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     width = above * optics.width_std * optics.width * over_width
     camera = image.slope_at(float(image.temperature_of(apparent))) * optics.accuracy
     kelvin, std = surface.temperature(apparent, math.hypot(noise, rounding, curved, width, camera))
-    # Why it is not to be believed.
+    # Reasons to reject the reading.
     middle = excess.mean(axis=0)
     peak = float(middle.max() if above > 0.0 else middle.min())
     fill = peak / above if above else math.inf
@@ -269,12 +269,12 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
         extreme, end = (coldest, optics.lowest) if too_cold else (hottest, optics.highest)
         reason = (f"pixel of {extreme - CELSIUS_ZERO:.1f} degC at the end of the camera's range "
                   f"({end - CELSIUS_ZERO:g} degC)")
-    # A line whose sum across has the other sign stands in another one's light or shadow.
+    # If the sum across has the wrong sign, or the background ripples, there is another line.
     elif dark == (above > 0.0) or ripple > _MOST_RIPPLE * abs(peak):
         reason = f"another line within {pixels // 2 + _NEAR + _FAR} pixels of the wire"
     elif optics.correct_fill and fill > _HIGHEST_FILL:
         reason = (f"fill factor {fill:.2f}, expected at most 1: the wire is narrower in the "
-                  f"picture than its {optics.width:.2g} pixels")
+                  f"image than its {optics.width:.2g} pixels")
     elif math.isnan(kelvin):
         reason = "less radiance than the reflected one alone: emissivity or reflection is wrong"
     return WireReading(math.nan if reason else kelvin, math.nan if reason else std, reason, True,
@@ -282,14 +282,14 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
 
 
 def _line_noise(lines: Array) -> float:
-    """Standard deviation of a line, by its neighbours: a wire may be warmer in its middle."""
+    """Standard deviation of a line, from differences of neighbours: the wire may be uneven."""
     return _SCALE_OF_MAD * float(np.median(np.abs(np.diff(lines)))) / math.sqrt(2.0)
 
 
 class WireGauge:
-    """Reads one wire; where `cold` ones are to be read, too, which at rest are as warm as their
-    background, an unseen one is read as that, give or take what could just be seen: not when it was
-    clear to see in the frame before (it left its region), and not when its heating should show."""
+    """Reads one wire, frame after frame. With `cold`, a wire that is not seen gets its background's
+    temperature, within the least visible excess; but not if it was clear a moment before (then it
+    left its region) or if its voltage should make it visible."""
 
     def __init__(self, region: Region, optics: Optics, surface: image.Surface,
                  cold: bool = False) -> None:
@@ -306,16 +306,16 @@ class WireGauge:
             self._seen, self._clearness, self._lost = time, reading.clearness, False
         elif time - self._seen <= _NO_TIME_TO_FADE:
             self._lost |= self._clearness > _TOO_CLEAR_TO_FADE * CLEAR
-        held_for_itself = bool(reading.seen and reading.reason) or math.isnan(reading.background)
-        if not self._cold or held_for_itself or reading.kelvin > reading.background:
+        rejected = bool(reading.seen and reading.reason) or math.isnan(reading.background)
+        if not self._cold or rejected or reading.kelvin > reading.background:
             return reading
         if expected > reading.background + reading.limit:
-            return WireReading(reason="wire not seen where its voltage makes it "
+            return WireReading(reason="wire not seen, though its voltage makes it "
                                f"{expected - CELSIUS_ZERO:.1f} degC or more")
         if reading.seen:
             return reading
         if self._lost:
-            return WireReading(reason="wire lost while clear to see: it left its region")
+            return WireReading(reason="wire lost while clearly visible: it left its region")
         deviation = math.hypot(reading.limit / 2.0, self._optics.accuracy)
         kelvin, std = self._surface.temperature(float(image.band_radiance(reading.background)),
                                                 deviation * image.slope_at(reading.background))
@@ -324,32 +324,32 @@ class WireGauge:
 
 
 class FrameJudge:
-    """Why a frame must be held back, "" for a good one. While the flag before the detector is shut
-    the Optris SDK repeats the last picture (no two real ones are equal), others show the flag."""
+    """Decides which frames are held back. While the shutter flag covers the detector the Optris SDK
+    repeats the last frame (no two real ones are equal); other cameras show the flag."""
 
     def __init__(self, stale_limit: float, shutter_spread: float, shutter_settle: float) -> None:
-        """`stale_limit` s is a frame's oldest age; one whose pixels differ by less than
-        `shutter_spread` K is the shutter (0: never), with what comes `shutter_settle` s after."""
+        """`stale_limit` s: highest age of a frame. One whose pixels differ by less than
+        `shutter_spread` K shows the shutter (0: never), as do those `shutter_settle` s after it."""
         self._stale_limit, self._spread, self._settle = stale_limit, shutter_spread, shutter_settle
         self._stamp = self._shut = -math.inf
         self._last: image.Frame | None = None
         self._flag_closed = False
 
     def flag(self, closed: bool) -> None:
-        """The camera itself says whether its flag covers the detector."""
+        """Note whether the flag covers the detector, as the camera reports it."""
         self._flag_closed = closed
 
     def objection(self, frame: image.Frame, stamp: float, now: float) -> str:
-        """Reason to hold back a frame acquired at `stamp` s that arrived at `now` s (one clock)."""
+        """Why to hold back a frame acquired at `stamp`, received at `now` (s, one clock), or ""."""
         before, self._last = self._last, frame
         newest, self._stamp = self._stamp, max(self._stamp, stamp)
         age = now - stamp
         if abs(age) > self._stale_limit:
-            self._stamp = min(self._stamp, now)  # a clock that was set back starts afresh
+            self._stamp = min(self._stamp, now)  # so that after a clock set back frames are new
             where = "old" if age > 0.0 else "in the future"
             return f"stale: frame {abs(age):.3g} s {where}, limit {self._stale_limit:g} s"
         if stamp <= newest:
-            return "stale: frame with a stamp that was there before"
+            return "stale: frame with a stamp not after the one before"
         if before is not None and np.array_equal(before, frame):
             return "frozen: frame equal to the one before (shutter closed, or camera hangs)"
         spread = int(np.ptp(frame[::_SPARSE, ::_SPARSE])) / image.RAW_PER_KELVIN
@@ -367,22 +367,22 @@ class ExpectedWarmth:
         self._kelvin, self._volts, self._time = self._model.ambient, 0.0, math.nan
 
     def voltage(self, volts: float, time: float) -> None:
-        """The wire has `volts` V from `time` s on; not a number is passed over."""
+        """The wire has `volts` V from `time` s on; ignored if not finite."""
         if math.isfinite(volts):
             self.kelvin(time)
             self._volts = volts
 
     def kelvin(self, time: float) -> float:
-        """Temperature in K at `time` s that can be relied upon: a share of the model's rise."""
+        """Temperature (K) that the wire has at least at `time` s: a share of the modelled rise."""
         if (elapsed := time - self._time) > 0.0:
             self._kelvin = self._model.warmed(self._kelvin, self._volts, elapsed)
         self._time = time
-        return self._model.ambient + _BELIEVED * (self._kelvin - self._model.ambient)
+        return self._model.ambient + _EXPECTED_SHARE * (self._kelvin - self._model.ambient)
 
 
 def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[WireGauge]:
-    """One gauge a channel, from the parameters of `ir_camera`. Raises InputError: regions that do
-    not fit channels or picture, an unknown statistic, an empty range of the camera."""
+    """One gauge per channel, from the parameters of `ir_camera`. Raises InputError: regions that do
+    not fit channels or image, an unknown statistic, an empty range of the camera."""
     lowest, highest = settings["camera_lowest"], settings["camera_highest"]
     if settings["statistic"] not in STATISTICS:
         raise InputError(f"statistic: {settings['statistic']!r}, expected {', '.join(STATISTICS)}")
@@ -411,14 +411,14 @@ class Report(NamedTuple):
 
 
 class CameraReport:
-    """Counts frames and readings, and judges each period between two reports, a second or so."""
+    """Counts frames and readings, and reports each period, of about a second."""
 
     def __init__(self, channels: Sequence[str], silence_limit: float, now: float) -> None:
-        """`silence_limit` s without a good frame is an error; `now` s is the time of the start."""
+        """`silence_limit` s without a good frame is an error; `now` s: time of the start."""
         self._channels, self._limit = tuple(channels), silence_limit
         self._arrived, self._good, self._ever = now, now, False
         self._readings = [WireReading(reason="no frame yet") for _ in channels]
-        # Counts since the start by kind of hold and by channel, and those of this period.
+        # Counts since the start, by reason to hold a frame and by channel.
         self._held, self._held_readings, self._last_hold = Counter[str](), Counter[str](), ""
         self._begin_period(now)
 
@@ -472,7 +472,7 @@ class CameraReport:
                       "smallest_visible_excess_K": f"{reading.limit:.2f}"}
             how = "" if reading.seen else " (as its background: not seen)"
             bad = reading.reason or ("no good frames" if level == ERROR else "")
-            said = bad or f"{celsius:.1f} degC +- {reading.std:.1f}{how}"
-            reports.append(Report(channel, ERROR if bad else OK, said, values))
+            message = bad or f"{celsius:.1f} degC +- {reading.std:.1f}{how}"
+            reports.append(Report(channel, ERROR if bad else OK, message, values))
         self._begin_period(now)
         return reports

@@ -1,1 +1,1 @@
-"""What a running bench does, without ROS: a run of a protocol or controller, its recording."""
+"""A running bench without ROS: a run of a protocol or controller, its recording, a simulation."""

@@ -1,4 +1,4 @@
-"""A run of the bench: a protocol or a reference, stopped at 0 V when something is wrong. No ROS.
+"""A run of a protocol or reference on the bench, stopped at 0 V on any fault. No ROS.
 Once started, it owns the outputs and keeps sending (0 V when done or aborted) until a reset."""
 
 import math
@@ -15,23 +15,23 @@ from sma_bench.parameters.node_tables import TUNING
 from sma_bench.protocols import TIP, Protocol, Quantity, Segment, Waiting, load_protocol
 
 IDLE, RUNNING, DONE, ABORTED = "idle", "running", "done", "aborted"
-_PATIENCE, _LATE = 10.0, 0.8  # s that a start waits; what is late, of the readings' timeout
+_START_TIMEOUT, _LATE = 10.0, 0.8  # s that a start waits; a late reading, of the feedback timeout
 _LEAD_IN = 0.25  # s of 0 V first: by then a simulated bench runs in step with the commands
-_PROGRESS_EVERY = 0.25
-_BEYOND = 1e4  # K or m: no reading, and one of them would leave a controller's integral full
+_PROGRESS_EVERY = 0.25  # s
+_BEYOND = 1e4  # K or m: not a reading; a single one would saturate a controller's integral
 
 
 class OpenLoop:
-    """The voltages of a protocol; `needs`: quantities without whose readings it does not drive."""
+    """Drives the voltages of a protocol; `needs`: quantities that must be measured to drive."""
 
     needs: Sequence[str] = ()
 
     def plan(self, settings: dict[str, Any], parameters: Parameters) -> Protocol:
-        """What the next run follows; InputError: it cannot be followed."""
+        """The protocol of the next run. InputError: it cannot be followed."""
         return load_protocol(settings["protocol"], parameters)
 
     def begin(self, settings: dict[str, Any], parameters: Parameters) -> None:
-        """A run starts now."""
+        """Called when a run starts."""
 
     def volts(self, protocol: Protocol, elapsed: float) -> list[float]:
         """Volts of every channel at `elapsed` s of the run."""
@@ -42,12 +42,12 @@ class OpenLoop:
 
 
 class ClosedLoop(OpenLoop):
-    """Holds wires at temperatures (experiment E8), or bends a bench as wanted. SI units."""
+    """Controls the wires' temperatures (experiment E8) or the tip's deflection. SI units."""
 
     def __init__(self, quantity: Quantity, settings: dict[str, Any], parameters: Parameters,
                  follow: Callable[[Sequence[float]], None]) -> None:
-        """`follow` hears each level that is wanted."""
-        # Controllers load the linear model, which an experiment with volts does without.
+        """`follow` is called with each commanded level of the reference."""
+        # Imported here: only controllers need the linear model.
         from sma_bench.control import DeflectionController, TemperatureController
         if not (quantity.tip or "temperature" in settings["feedback"]):
             raise InputError("feedback: temperature control cannot do without temperature")
@@ -57,12 +57,12 @@ class ClosedLoop(OpenLoop):
         self._period = 1.0 / settings["command_rate"]
         self._asked: Sequence[float] | None = None
         self._readings = dict.fromkeys(quantity.targets(parameters), math.nan)
-        # The first design also compiles the physics, which must not wait for the start.
+        # The first design also compiles the physics: do it before the start.
         self.begin(settings, parameters)
 
     def plan(self, settings: dict[str, Any], parameters: Parameters) -> Protocol:
-        """The reference, every level of it within the bench's reach."""
-        if not settings["reference"]:  # at rest, until one comes from the topic
+        """The reference; InputError unless the bench can reach every level."""
+        if not settings["reference"]:  # at rest, until the topic gives one
             names, rest = self._quantity.targets(parameters), self._quantity.rest(parameters)
             level = (rest,) * len(names)
             return Protocol("topic", names, (Segment("follow", math.inf, level, level),), rest=rest)
@@ -74,7 +74,7 @@ class ClosedLoop(OpenLoop):
         return reference
 
     def begin(self, settings: dict[str, Any], parameters: Parameters) -> None:
-        """Design the controller anew, for the parameters of the moment."""
+        """Design the controller again, for the present parameters."""
         self._asked = None
         tuning = {p.name: settings[p.name] for p in TUNING}
         self._law = self._controller(parameters, self._period, **tuning)
@@ -89,7 +89,7 @@ class ClosedLoop(OpenLoop):
         return list(self._law.step(wanted, readings, period).tolist())
 
     def ask(self, asked: Sequence[float], followed: Protocol | None, parameters: Parameters) -> str:
-        """Take a reference from the topic, where what is followed has no end; why not, or ""."""
+        """Take a reference from the topic, if the run has no end; returns why not, or ""."""
         if followed is None or math.isfinite(followed.duration):
             return "the reference is not taken from the topic now"
         fault: str = self._controller.reference_fault(asked, parameters)
@@ -98,15 +98,15 @@ class ClosedLoop(OpenLoop):
         return fault
 
     def heard(self, quantity: str, channel: str, value: float) -> None:
-        """A gap (the camera's shutter) is bridged by the last reading until that is stale."""
+        """During a gap (the camera's shutter) the last reading is used until it is stale."""
         if (quantity == "deflection") == self._quantity.tip:
             self._readings[channel or TIP] = value
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Who is on the bench's topics: whether anyone hears the commands, whether simulated time has
-    begun, which states that `Readiness` knows have a publisher, what a recorder has to hear."""
+    """The bench's topics: is there a subscriber of commands, has simulated time begun, which states
+    for `Readiness` have a publisher (`present`), which topics must be recorded (`published`)."""
 
     commands_heard: bool = True
     has_time: bool = True
@@ -115,7 +115,7 @@ class Surroundings:
 
 
 class Outputs(Interface):
-    """What a run acts on: V of every channel, a step that begins, a new state, how far it is."""
+    """What a run acts on: voltages, the step that begins (`mark`), its state, its progress."""
 
     def surroundings(self) -> Surroundings: ...
     def send(self, voltage: list[float]) -> None: ...
@@ -130,20 +130,20 @@ class Run:
     def __init__(self, outputs: Outputs, loop: OpenLoop, guard: Guard, readiness: Readiness,
                  channels: int, autostart: bool = False, feedback_timeout: float = 1.0,
                  steady: float = 0.0) -> None:
-        """`autostart`: start as soon as nothing is in the way; `feedback_timeout`: s for which what
-        a step waits for may stay away; `steady`: s for which readings come in time first."""
+        """`autostart`: start as soon as possible; `feedback_timeout`: s without readings that a
+        step waits for; `steady`: s for which readings must come in time before a start."""
         self._outputs, self._loop, self._guard, self._readiness = outputs, loop, guard, readiness
         self._feedback_timeout, self._steady = feedback_timeout, steady
-        self._zero, self._autostart, self._patience = [0.0] * channels, autostart, math.inf
-        self._watched = self._late = -math.inf  # the latter: when readings, or this run, were
+        self._zero, self._autostart, self._start_by = [0.0] * channels, autostart, math.inf
+        self._watched = self._late = -math.inf  # s: last watch; last time that something was late
         self._aborted = ""  # the first reason since the last reset
-        # Of the run: when its steps begin, or began by the bench's clock; s that were left out.
-        self._begin = self._progress_due = self._passed_over = self._time = 0.0
-        self._started: float | None = None
+        # s: end of the lead-in; next progress message; time of waiting steps skipped; last tick.
+        self._begin = self._progress_due = self._skipped = self._time = 0.0
+        self._started: float | None = None  # s of the bench's clock, after the lead-in
         self._waiting: Waiting | None = None
         self._readings = {name: Freshness(f"joint_states ({name})", feedback_timeout)
                           for name in loop.needs}
-        self.state, self.said, self.step = IDLE, IDLE, ""
+        self.state, self.state_text, self.step = IDLE, IDLE, ""
         self.protocol: Protocol | None = None
 
     @property
@@ -169,7 +169,7 @@ class Run:
         return self._guard.fault(now) or next(filter(None, needed), "") or missing
 
     def obstacle(self, now: float) -> str:
-        """What keeps the next run from starting, or ""."""
+        """Why the next run cannot start, or ""."""
         around = self._outputs.surroundings()
         if not around.commands_heard:
             return "nothing listens to voltage_command"
@@ -178,7 +178,7 @@ class Run:
         return self._readiness.obstacle(around.present, now) or self.fault(now)
 
     def _missing(self, protocol: Protocol, now: float) -> str:
-        """What a step waits for and nobody measures (any more), or ""."""
+        """Report of a step that waits for a quantity that is not measured (any more), or ""."""
         for segment in protocol.segments:
             if not segment.until:
                 continue
@@ -186,13 +186,13 @@ class Run:
                 known = [f for name, f in self._readings.items() if name.startswith(quantity)]
                 if not known:
                     wanted = quantity or "temperature or deflection"
-                    return f"{segment.step} waits for {wanted}, which nobody publishes"
+                    return f"{segment.step} waits for {wanted}, which is not published"
                 if fault := next(filter(None, (fresh.fault(now) for fresh in known)), ""):
                     return f"{segment.step} waits for it: {fault}"
         return ""
 
     def _not_yet(self, now: float) -> str:
-        """What a start still waits for: steady readings, topics unheard by the recorder; or ""."""
+        """What a start still waits for (steady readings, topics not yet recorded), or ""."""
         if (steady := now - self._late) < self._steady:
             return f"readings have come in time for {steady:.1f} s, expected {self._steady:g} s"
         if not self._readiness.required():
@@ -202,7 +202,7 @@ class Run:
         return f"the recorder does not hear {', '.join(topics)} yet" if topics else ""
 
     def tick(self, now: float, time: float) -> None:
-        """One command."""
+        """Send the command for this time, or 0 V."""
         self._time = time
         self.check(now)
         if not self.running or self.protocol is None or now < self._begin:
@@ -210,13 +210,14 @@ class Run:
                 self._send(self._zero)
             return
         self._started = time if self._started is None else self._started
-        elapsed = time - self._started + self._passed_over
+        elapsed = time - self._started + self._skipped
         if self._waiting is not None and 0.0 <= elapsed < self.protocol.duration:
             ahead = self._waiting.passed_over(elapsed, time)
-            self._passed_over, elapsed = self._passed_over + ahead, elapsed + ahead
+            self._skipped, elapsed = self._skipped + ahead, elapsed + ahead
         step = self.protocol.step_at(elapsed)
         if elapsed > 0.0 and not step:
-            # What breaks a rule must last, a brief run does not; nor may late readings end it.
+            # A deviation breaks a rule only when it lasts, so a brief run is checked here: a wire
+            # that strays aborts it, one that got 0 V only once late readings have had their time.
             never, late = self._guard.unanswered(), elapsed - self.protocol.duration
             if reason := self._guard.strays(now) or (late >= self._feedback_timeout and never):
                 self.abort(reason)
@@ -229,13 +230,13 @@ class Run:
         self._send(self._loop.volts(self.protocol, elapsed))
         if now >= self._progress_due:
             self._progress_due = now + _PROGRESS_EVERY
-            duration = self.protocol.duration - self._passed_over
+            duration = self.protocol.duration - self._skipped
             self._outputs.show({"protocol": self._name, "step": self.step,
-                                "elapsed": round(elapsed - self._passed_over, 3),
+                                "elapsed": round(elapsed - self._skipped, 3),
                                 "duration": duration if math.isfinite(duration) else None})
 
     def watch(self, now: float, plan: Callable[[], Protocol]) -> None:
-        """The same care on a clock that goes on when a simulation stops."""
+        """Check, and start when requested, on a clock that runs on when a simulation stops."""
         if max(self._guard.oldest(now), now - self._watched) > _LATE * self._feedback_timeout:
             self._late = now
         self._watched = now
@@ -246,14 +247,14 @@ class Run:
                     self._start(now, plan)
                 except InputError as error:  # a file that has changed since it was chosen
                     self.abort(f"not started: {error}")
-            elif now > self._patience:
+            elif now > self._start_by:
                 self.abort(f"not started: {reason}")
         self.check(now)
         if self.state == ABORTED:
             self._send(self._zero)
 
     def check(self, now: float) -> None:
-        """0 V where something has gone wrong."""
+        """Abort the run on a fault."""
         if self.running and (reason := self.fault(now) or self._readiness.fault(now)):
             self.abort(reason)
 
@@ -270,7 +271,7 @@ class Run:
             self._send(self._zero)
 
     def start(self, now: float, plan: Callable[[], Protocol]) -> str:
-        """Follow what is planned once readings come steadily and are recorded; InputError: not."""
+        """Start the planned run, now or once readings are steady and recorded. InputError: no."""
         if self.running:
             raise InputError(f"already running {self._name}")
         if self._aborted:
@@ -278,7 +279,7 @@ class Run:
         if obstacle := self.obstacle(now):
             raise InputError(obstacle)
         if reason := self._not_yet(now):
-            self._autostart, self._patience = True, now + _PATIENCE
+            self._autostart, self._start_by = True, now + _START_TIMEOUT
             return f"starts as soon as it can: {reason}"
         protocol = self._start(now, plan)
         return f"{protocol.name}: {protocol.length}"
@@ -297,8 +298,8 @@ class Run:
 
     def enter(self, state: str, detail: str = "") -> None:
         self.state = state
-        self.said = f"{state}: {detail}" if detail else state
-        self._outputs.enter(self.said)
+        self.state_text = f"{state}: {detail}" if detail else state
+        self._outputs.enter(self.state_text)
 
     @property
     def _name(self) -> str:
@@ -309,7 +310,7 @@ class Run:
         if missing := self._missing(protocol, now):
             raise InputError(missing)
         self.protocol, self._started, self.step = protocol, None, ""
-        self._begin, self._passed_over = now + _LEAD_IN, 0.0
+        self._begin, self._skipped = now + _LEAD_IN, 0.0
         self._waiting = Waiting(protocol) if protocol.waits else None
         self._guard.begin()
         self.enter(RUNNING, protocol.name)

@@ -1,5 +1,5 @@
-"""The bench in software: physics behind instruments, sampled at the hardware's rates; how far its
-time may go; and a protocol on it under every rule of a real run, as fast as it steps. No ROS."""
+"""A simulated bench: physics and sensors, sampled at the hardware's rates; its time in step with
+the commands; and a run on it under all rules of a real one, as fast as possible. No ROS."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -22,16 +22,16 @@ from sma_bench.protocols import Protocol
 from sma_bench.records.record import Signal
 
 NANOSECONDS, REAL_TIME = 1_000_000_000, 1.0
-STANDS = "nothing imposes a motion here, the elongation is held at 0"
+STANDS = "this load imposes no motion: the elongation is held at 0"
 RATES = ("power", "temperature", "mechanics", "ambient")
-_SLOW_DRIVER_LEAD = 0.5  # of the command timeout: how far simulated time may run ahead of one
+_SLOW_DRIVER_LEAD = 0.5  # of the command timeout: lead of simulated time over a slow driver
 _DEBT = 0.01  # wall s of delay that are caught up; longer ones (waiting for a driver) are not
-_SETTLE = 0.1  # wall s in which all that was sent before is surely heard
-_PERIOD_NS, _TIMEOUT = 20_000_000, 1.0  # of a simulated run: of its commands; s without readings
+_SETTLE = 0.1  # wall s until all commands sent before have arrived
+_PERIOD_NS, _TIMEOUT = 20_000_000, 1.0  # ns of a simulated run's commands; s without readings
 
 
 class GroupReading(NamedTuple):
-    """What one group of instruments read."""
+    """Readings of one group of instruments."""
 
     kind: str
     time: int  # ns since the start
@@ -41,13 +41,13 @@ class GroupReading(NamedTuple):
 
 
 class VirtualBench:
-    """Steps the physics from one sample instant to the next and reads the instruments there.
-    After a rest these draw new noise by seed and pulse, however long the bench has waited."""
+    """Steps the physics from one sample instant to the next and reads the instruments there. When
+    heating begins they draw new noise, by seed and pulse, so that waiting times do not matter."""
 
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
         self.channels: tuple[str, ...] = parameters["bench.channels"]
         self.composite, self.moves = moves_tip(parameters), load_kind(parameters) != "clamped"
-        # The first step may compile the physics for seconds: not between two readings.
+        # The first step may compile the physics for seconds: do it before the first reading.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
         self._bench, self._settings = Bench(parameters), settings
         self._standoff = settings["sensor.range_standoff"]
@@ -56,7 +56,7 @@ class VirtualBench:
         self._build_instruments()
 
     def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[GroupReading]:
-        """Readings in the order of time while `voltage` (one per channel) is held `until` ns."""
+        """Readings in time order, with `voltage` (one per channel) held until `until` ns."""
         volts, driven = np.array(voltage), any(voltage)
         if driven and not self._driven:
             self._pulses += 1
@@ -103,19 +103,19 @@ class VirtualBench:
             return [self._instruments["temperature"][-1].read(air)]
         position = bench.deflection_reading
         if self.composite:
-            # Bending to the front brings the tip nearer to the front sensor.
+            # Bending towards the front shortens the front sensor's distance.
             return read("range", [self._standoff - position, self._standoff + position])
-        # Where the frame holds the clamps there is no elongation.
+        # If the frame holds the clamps there is no elongation.
         elongation = read("range", [position]) if self.moves else [0.0]
         return elongation + read("force", [float(bench.force.sum())])
 
 
 class Lockstep:
     """Couples simulated time to the commands, so that results do not depend on the machine's load:
-    one slice of time, as long as their period, is run for each. A driver that stays away for
-    `patience` s of wall time is either slower than declared, and is waited for less often from then
-    on, or gone, and its silence runs into the command timeout as on the real bench. Times in s;
-    `simulated` counts from the start of the simulation, `wall` is a steady clock."""
+    each command allows one slice of time, as long as their period. If a driver is silent for
+    `patience` s of wall time it may be slower than declared, and simulated time may run further
+    ahead of it from then on; or it is gone, and the command timeout acts as on the real bench.
+    Times in s; `simulated` is from the start of the simulation, `wall` a steady clock."""
 
     def __init__(self, slice_length: float, speed: float, command_timeout: float,
                  patience: float) -> None:
@@ -128,8 +128,8 @@ class Lockstep:
 
     def commanded(self, simulated: float, wall: float) -> None:
         """A command was accepted at `simulated` s."""
-        # The first after a silence found time running freely: others are on their way, and had each
-        # its slice, the driver would stay so many slices behind, sometimes one less.
+        # During a silence time ran freely, and more commands may already be on their way. If each
+        # allowed a slice, the driver would stay a varying number of slices behind: let them arrive.
         if simulated - self._commanded > self._timeout:
             self._lead = self._slice
             self._due = max(self._due or wall, wall + _SETTLE)
@@ -157,7 +157,7 @@ class Lockstep:
 
 
 class SimulatedRun:
-    """A run of a bench that is what `hidden` says, watched by the limits of `believed`."""
+    """A run of a simulated bench with the parameters `hidden`, under the limits of `believed`."""
 
     def __init__(self, hidden: Parameters, believed: Parameters, seed: int) -> None:
         self._bench = VirtualBench(hidden, {p.name: p.default for p in SIMULATOR} | {"seed": seed})
@@ -170,7 +170,7 @@ class SimulatedRun:
         self._run = Run(self, OpenLoop(), self._guard, Readiness(), len(channels))
 
     def follow(self, protocol: Protocol) -> tuple[list[Signal], list[tuple[float, str]]]:
-        """Signals as a recorder keeps them, and markers; InputError: the run was aborted."""
+        """Signals as a recorder has them, and markers. InputError: the run was aborted."""
         step = 0
         while self._run.state not in (DONE, ABORTED):
             step += 1
@@ -182,29 +182,29 @@ class SimulatedRun:
                     self._run.start(self._now, lambda: protocol)
             self._run.tick(self._now, self._now)
         if self._run.state == ABORTED:
-            raise InputError(f"{protocol.name}: {self._run.said}")
+            raise InputError(f"{protocol.name}: {self._run.state_text}")
         signals = [Signal(*name, *np.array(samples).T) for name, samples in self._read.items()]
         return signals, self._markers
 
     def _take(self, reading: GroupReading) -> None:
-        """A reading as the guard sees it and as signals have it."""
-        time, kept = reading.time / NANOSECONDS, {}
+        """Pass a reading to the guard and to the signals."""
+        time, values = reading.time / NANOSECONDS, {}
         if reading.kind == "power":
             for channel, (volt, ampere) in zip(self._bench.channels, reading.values, strict=True):
                 self._guard.power(channel, volt, ampere, time, time, self._limits)
-                kept[f"{channel}.voltage", "V"] = volt
-                kept[f"{channel}.current", "A"] = ampere
+                values[f"{channel}.voltage", "V"] = volt
+                values[f"{channel}.current", "A"] = ampere
         elif reading.kind == "temperature":
             for channel, celsius in zip(self._bench.channels, reading.values, strict=True):
-                kelvin = kept[f"{channel}.temperature", "K"] = celsius + CELSIUS_ZERO
+                kelvin = values[f"{channel}.temperature", "K"] = celsius + CELSIUS_ZERO
                 self._guard.temperature(channel, kelvin, time, time, self._limits)
         elif reading.kind == "mechanics":
             one, other = reading.values
             if self._bench.composite:
-                kept["deflection", "m"] = 0.5 * (other - one)
+                values["deflection", "m"] = 0.5 * (other - one)
             else:
-                kept["elongation", "m"], kept["force", "N"] = one, other
-        for name, value in kept.items():
+                values["elongation", "m"], values["force", "N"] = one, other
+        for name, value in values.items():
             self._read.setdefault(name, []).append((time, value))
 
     def surroundings(self) -> Surroundings:

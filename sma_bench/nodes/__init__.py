@@ -1,1 +1,1 @@
-"""Thin ROS 2 nodes: messages in, a call into the other rooms, messages out."""
+"""Thin ROS 2 nodes: messages in, a call into the other packages, messages out."""

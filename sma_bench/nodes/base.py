@@ -1,4 +1,4 @@
-"""What all nodes share: parameters from tables, services, diagnostics, a clean end."""
+"""Base class of all nodes: parameters from tables, services, diagnostics, a clean end."""
 
 import contextlib
 import os
@@ -28,9 +28,9 @@ from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.yaml_file import stated_names
 from sma_bench.ros.node import LATCHED, READINGS, OneThreadExecutor, OverridableNode
 
-# Real-time priorities, below the kernel's own threads. What keeps the device supplied goes first.
+# Real-time priorities, below the kernel's own threads; the node that drives the device is highest.
 BRIDGE, DRIVER, CAMERA = 12, 11, 10
-_LAST_WORD = 1.0  # s
+_LAST_MESSAGES = 1.0  # s for subscribers to receive them
 Answer = str | tuple[bool, str]
 
 
@@ -38,16 +38,16 @@ class BenchNode(OverridableNode):
     """Node with the contract's parameters (`parameters`) and its own (`settings`), declared from
     the tables and validated as a whole at every change, which is refused with a reason."""
 
-    frozen = False  # whether no parameter may change while the node runs
-    limits = ""  # of a node that drives, with their sources, for people
-    with_uncertainty = False  # whether it has use for the `uncertainty.` parameters
+    frozen = False  # True: no parameter may change while the node runs
+    limits = ""  # of a node that drives, with their sources, as text
+    with_uncertainty = False  # True: it uses the `uncertainty.` parameters
     executor_type: ClassVar[Callable[[], Executor]] = OneThreadExecutor
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.failure: InputError | None = None
         self.claims = [claimed(self.get_fully_qualified_name())]
-        # Another clock in the middle of a run would spoil every stamp.
+        # A change of clock during a run would spoil all stamps.
         self.set_descriptor("use_sim_time", rcl.ParameterDescriptor(
             name="use_sim_time", type=rcl.ParameterType.PARAMETER_BOOL, read_only=True,
             description="Time is that of /clock."))
@@ -59,7 +59,7 @@ class BenchNode(OverridableNode):
                 backward, post_callback=lambda jump: self.on_time_went_back(
                     f"simulated time went back by {-jump.delta.nanoseconds / 1e9:.3f} s: another "
                     "publisher of /clock, or a new simulation"))
-        # Parameters: the contract's, their deviations where the node has use for them, its own.
+        # Parameters: the contract's, their uncertainties if the node uses them, its own.
         self._own = {p.name: p for p in NODE_TABLES[name]}
         self._contract = {p.name: p for p in TABLE}
         given = {name: p.value for name, p in self._parameter_overrides.items()}
@@ -92,70 +92,70 @@ class BenchNode(OverridableNode):
 
     def listen(self, kind: type, what: str, on_message: Callable[..., None], numbered: bool = False,
                qos: QoSProfile = READINGS, newest: bool = False) -> None:
-        """Have on_message(channel or its number, message) hear `<channel>/WHAT` of each channel."""
+        """Subscribe to `<channel>/WHAT` of each channel: on_message(channel or number, message)."""
         for k, channel in enumerate(self.parameters["bench.channels"]):
             heard = partial(on_message, k if numbered else channel)
             self.create_subscription(kind, f"{channel}/{what}", heard, qos, newest=newest)
 
     def line(self, topic: str) -> Callable[[str], None]:
-        """Publishes a text (std_msgs/String), of which latecomers get the last."""
+        """A function that publishes a text (std_msgs/String, latched)."""
         publisher = self.create_publisher(String, topic, LATCHED)
         return lambda text: publisher.publish(String(data=text))
 
     def wait_for_listeners(self) -> None:
-        """Until they have the last messages, 1 s at most."""
-        end = time.monotonic() + _LAST_WORD
+        """Wait until subscribers have the last messages, 1 s at most."""
+        end = time.monotonic() + _LAST_MESSAGES
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
 
     def every(self, seconds: float, act: Callable[[], None]) -> None:
-        """Call `act` once in so many s of the wall's clock."""
+        """Call `act` every so many s of wall time."""
         self.create_timer(seconds, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def serve(self, group: CallbackGroup | None = None, **acts: Callable[[], Answer]) -> None:
-        """Services `~/NAME` (std_srvs/Trigger) of acts, which return the line of a success, or
-        whether they succeeded and the line; an InputError is the line of a failure."""
+        """Offer services `~/NAME` (std_srvs/Trigger). `acts` return the message of a success, or
+        (success, message); an InputError is the message of a failure."""
 
         def answered(act: Callable[[], Answer], _: Any, response: Any) -> Trigger.Response:
             try:
-                said = act()
+                out = act()
             except InputError as error:
-                said = False, str(error)
-            response.success, response.message = said if isinstance(said, tuple) else (True, said)
+                out = False, str(error)
+            response.success, response.message = out if isinstance(out, tuple) else (True, out)
             return response
 
         for name, act in acts.items():
             self.create_service(Trigger, f"~/{name}", partial(answered, act), callback_group=group)
 
     def fail(self, error: InputError) -> None:
-        """End the node after this callback, which must not raise it, with its line and status 2."""
+        """End the node after this callback, with this error and status 2; do not raise it."""
         self.failure = self.failure or error
 
-    # --- what a node may do in its own way
+    # --- for nodes to override
 
     def held(self) -> Set[str]:
-        """Names that may not change now."""
+        """Names of parameters that may not change now."""
         return frozenset()
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """Refuse a change of the node's own parameters by raising InputError."""
 
     def on_time_went_back(self, reason: str) -> None:
-        """Simulated time did what time never does; `reason` is a line for people."""
+        """Called when simulated time went back; `reason` is a line for the user."""
 
     def drain(self, spin: Callable[[], None]) -> None:
-        """Take what has arrived already before the end; `spin` runs one waiting callback."""
+        """Before the end, process what has arrived; `spin` runs one waiting callback."""
 
     def close(self) -> None:
         """Put everything in a safe state; the context is still valid."""
 
     def health(self) -> list[DiagnosticStatus]:
-        """What the node says of itself on `/diagnostics`, once a second."""
+        """The node's status for `/diagnostics`, once a second."""
         return [self.status("node", message="running")]
 
     def status(self, name: str, level: bytes = DiagnosticStatus.OK, message: str = "",
                values: Mapping[str, Any] | None = None, hardware: str = "") -> DiagnosticStatus:
-        """One line of `health`; `name` is that of the part it speaks of."""
+        """One entry of `health`; `name`: the part of the node that it is about."""
         return DiagnosticStatus(
             level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
             hardware_id=hardware or self.get_name(),
@@ -178,8 +178,8 @@ class BenchNode(OverridableNode):
             claim.close()
 
     def set_parameters_atomically(self, parameter_list: Any) -> rcl.SetParametersResult:
-        """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
-        read-only or not, and 8e-06, of which that command makes a text, is a number."""
+        """As in rclpy, but loads files of `ros2 param dump`: an unchanged value is accepted even if
+        read-only, and so are floats such as 8e-06, which that command writes as text."""
         changes = []
         for p in parameter_list:
             before = self.get_parameter_or(p.name).value
@@ -195,7 +195,7 @@ class BenchNode(OverridableNode):
         self.settings, self.parameters = self._validated({})
 
     def _validated(self, changed: Mapping[str, Any]) -> tuple[dict[str, Any], Parameters]:
-        """Own and contract parameters with `changed` applied; InputError when they cannot be."""
+        """Own and contract parameters with `changed` applied. InputError: not valid."""
         values = {name: changed[name] if name in changed else self.get_parameter(name).value
                   for name in (*self._own, *self._contract)}
         settings = {name: p.validated(values[name]) for name, p in self._own.items()}
@@ -224,8 +224,8 @@ def _plain(value: Any) -> Any:
 
 
 def be_punctual(priority: int) -> str:
-    """Have this process scheduled before others, as far as its user may; how it is scheduled.
-    Niceness alone is no help where the kernel groups processes by session (autogroup)."""
+    """Raise this process's priority as far as its user may; returns how it is scheduled.
+    Niceness alone does not help if the kernel groups processes by session (autogroup)."""
     with contextlib.suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))

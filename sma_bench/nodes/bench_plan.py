@@ -1,4 +1,4 @@
-"""The launch files: plans of what they start, and these as actions, which need ROS's `launch`."""
+"""The launch files: plans of the nodes they start, and the launch actions (these need `launch`)."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from launch_ros.actions import Node
 
 SWITCH = ("true", "false", "True", "False")
-# These hold the outputs, or are what the outputs are judged by: without one the bench stops.
+# Nodes that drive, or measure what a driving bench needs: when one ends, the bench ends.
 VITAL = ("simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_camera", CONTAINER)
-# These work on records when asked to; the last has the bench driven, with a recorder of its own.
+# Nodes that work on records on request; the last also drives the bench, with its own recorder.
 NO_NODES, SERVICES, INVESTIGATION = "none", ("identification", "diagnosis"), "investigation"
 
-# Synthetic pictures, small enough for a laptop; four wires bend by 45 mm in shipped protocols.
+# Synthetic images, small enough for a laptop; four wires bend by 45 mm in the shipped protocols.
 _WIRE_PICTURE = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 _COMPOSITE_PICTURE = {"image_width": 382, "image_height": 288, "pixel_size": 2.0e-3}
-_PIXEL_ERROR, _PICTURE_RATE, _CLOCK_RATE = 0.02, 25.0, "100"  # of the pixels' size, Hz, Hz
+_PIXEL_ERROR, _PICTURE_RATE, _CLOCK_RATE = 0.02, 25.0, "100"  # std, of the pixels' size; Hz; Hz
 _EXACT = {"sensor.temperature_noise": 0.0, "sensor.temperature_resolution": 0.0}
-# Recorded commands are played there: no bench, real or not, may take them for its own.
+# Recorded commands are replayed below this prefix, so that no bench obeys them.
 _COMMAND, _ASIDE = "voltage_command", "replayed/"
-PIECES = 12  # of the beam that RViz shows
+PIECES = 12  # rigid pieces of the beam in RViz
 _STANDOFF = next(p.default for p in SIMULATOR if p.name == "sensor.range_standoff")
 
 
@@ -52,7 +52,7 @@ class Argument(NamedTuple):
 
 @dataclass(frozen=True)
 class PlannedNode:
-    """One process: `parameters` are its own, over those of the rig's `file`."""
+    """One process; `parameters` override those of the rig's `file`."""
 
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -63,12 +63,12 @@ class PlannedNode:
 
     @property
     def vital(self) -> bool:
-        """Whether its end ends the bench."""
+        """True if its end ends the bench."""
         return self.executable in VITAL
 
 
 def launch_arguments(of: str, params: str, **defaults: str) -> dict[str, Argument]:
-    """Arguments of a launch file; `params`: its file in config/; `defaults` over the table's."""
+    """Arguments of a launch file; `params`: its file in config/; `defaults` override the table."""
     table = read_yaml(Path(__file__).with_name("launch_arguments.yaml"))
     defaults["params"], found = str(share_directory() / "config" / params), {}
     for name, row in {**table[of], **table["both"]}.items():
@@ -80,7 +80,7 @@ def launch_arguments(of: str, params: str, **defaults: str) -> dict[str, Argumen
 
 
 class LaunchedRig(NamedTuple):
-    """A bench: its parameter file in config/ and the protocol to begin with."""
+    """A bench: its parameter file in config/ and its default protocol."""
 
     file: str
     protocol: str
@@ -103,8 +103,8 @@ REPLAY = launch_arguments("replay", COMPOSITE.file)
 
 
 def filled(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[str, Any]:
-    """All arguments as text, bool for a switch, float for `speed` and `rate`, those not given at
-    their default. Raises InputError: an unknown one, or a value that it cannot have."""
+    """All arguments, given or default: text, bool for a switch, float for `speed` and `rate`.
+    InputError: an unknown one, or a value that is not allowed."""
     for name in given:
         if name not in arguments:
             raise InputError(f"unknown argument {name}{did_you_mean(name, list(arguments))}")
@@ -125,8 +125,8 @@ def filled(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
 
 
 def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
-    """The nodes of a bench, those that others listen to first. `given`: arguments of its launch.
-    InputError: they are unknown or exclude each other, or a file or protocol does not fit."""
+    """The nodes of a bench; publishers come before their subscribers. `given`: launch arguments.
+    InputError: unknown or contradictory arguments, an unsuitable file or protocol."""
     values = filled(rig.arguments, given)
     hardware, speed = values["mode"] == "hardware", values["speed"]
     camera = hardware if values["camera"] == "auto" else values["camera"].lower() == "true"
@@ -139,14 +139,14 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
     bench = read_parameters(values["params"])
     load_protocol(values["protocol"], bench)
     clock = {"use_sim_time": speed > 1.0}
-    # The bench, and what reads its temperatures.
+    # The bench, and the cameras.
     if hardware:
         nodes = [PlannedNode("serial_bridge", {"port": values["port"]})]
         nodes += [PlannedNode("ir_camera")] if camera else []
     elif camera:
         channels = bench["bench.channels"]
         aside = {f"{c}/temperature": f"{c}/true_temperature" for c in channels}
-        # Synthetic camera and reader, alike; what the rig's file says of either stays.
+        # Synthetic camera and reader get the same numbers, unless the rig's file states them.
         above = ("/" + values["namespace"].strip("/")).rstrip("/")
         stated = read_parameter_names(values["params"], f"{above}/ir_camera")
         picture: dict[str, Any] = dict(_WIRE_PICTURE if len(channels) == 1 else _COMPOSITE_PICTURE)
@@ -159,7 +159,7 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
                  PlannedNode("ir_camera", {n: v for n, v in read.items() if n not in stated})]
     else:
         nodes = [PlannedNode("simulator", {"speed": speed})]
-    # What drives and records it, and what works beside.
+    # Experiment, recorder, twin and further nodes.
     record, further = values["record"], _named(values, (*SERVICES, INVESTIGATION))
     driver = {name: values[name] for name in ("protocol", "autostart")}
     nodes.append(PlannedNode("experiment", {**driver, "require_recorder": record, **clock}))
@@ -179,8 +179,8 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
 
 
 def plan_replay(given: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]]:
-    """The command line of `ros2 bag play`, which plays a record below one namespace, and its nodes.
-    `given`: of REPLAY. InputError: no bag, one without a topic of the bench, a bad argument."""
+    """The command line of `ros2 bag play` for a record in one namespace, and the nodes beside it.
+    `given`: of REPLAY. InputError: no bag, no topic of a bench in it, a bad argument."""
     values = filled(REPLAY, given)
     if not (bag := values["bag"]):
         raise InputError("bag: expected a record to play, bag:=my_record")
@@ -206,7 +206,7 @@ def plan_replay(given: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]]
 
 
 def _named(values: Mapping[str, Any], known: Sequence[str]) -> list[str]:
-    """What the argument `nodes` names, once each."""
+    """The nodes that the argument `nodes` lists, without duplicates."""
     names = [name.strip() for name in values["nodes"].split(",") if name.strip()]
     if names == [NO_NODES]:  # ros2 launch refuses `nodes:=`
         return []
@@ -217,8 +217,8 @@ def _named(values: Mapping[str, Any], known: Sequence[str]) -> list[str]:
 
 
 def _described(bench: Parameters, clock: Mapping[str, Any]) -> PlannedNode:
-    """The node that turns the joint `tip` into frames for RViz: by a URDF with the rig's geometry,
-    in which the frames of the messages are, `front_range`, `back_range` and every channel."""
+    """The node that turns the joint `tip` into frames for RViz, by a URDF of the rig's geometry; it
+    contains the messages' frames `front_range`, `back_range` and every channel."""
     wires = []  # of both sides, across the beam, at the offset `a` from its middle
     for side, sign in (("front", 1.0), ("back", -1.0)):
         count = bench["bench.channel_sides"].count(side)
@@ -238,7 +238,7 @@ def bench_launch(rig: LaunchedRig) -> "LaunchDescription":
 
 
 def replay_launch() -> "LaunchDescription":
-    """Launch description of a record that is played; it ends with the record."""
+    """Launch description of a replay; it ends with the record."""
     from launch.actions import ExecuteProcess, Shutdown
 
     def actions(given: Mapping[str, str]) -> list[Any]:
@@ -259,20 +259,20 @@ def _description(arguments: Mapping[str, Argument],
 
     def start(context: "LaunchContext") -> list[Any]:
         given = dict(context.launch_configurations)
-        # Those of a launch file that includes ours are among them, unless `ros2 launch` names ours.
+        # Included by another launch file, ours gets that file's arguments, too: keep our own.
         ours = {path.name for path in (share_directory() / "launch").iterdir()}
         if not any(Path(word).name in ours for word in sys.argv):
             given = {name: given[name] for name in arguments}
         return actions(given)
 
-    declared = [DeclareLaunchArgument(name, default_value=default, description=said + (
+    declared = [DeclareLaunchArgument(name, default_value=default, description=text + (
                     f" One of {', '.join(choices)}." if choices else ""))
-                for name, (default, said, choices) in arguments.items()]
+                for name, (default, text, choices) in arguments.items()]
     return LaunchDescription([*declared, OpaqueFunction(function=start)])
 
 
 def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[Node]":
-    """All of them or none: launch would find out while it starts them, and leave those that run."""
+    """The launch actions; InputError if a package is missing, before any node has started."""
     from ament_index_python.packages import get_package_prefix
     from launch.actions import Shutdown
     from launch_ros.actions import Node
@@ -286,7 +286,7 @@ def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[No
                              f"apt install ros-jazzy-{package.replace('_', '-')}") from None
     nodes = []
     for node in planned:
-        # A text stays one: launch_ros would read '10' as a number and '' as nothing.
+        # Keep text as text: launch_ros would read '10' as a number and '' as nothing.
         own = {name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
                for name, value in node.parameters.items()}
         nodes.append(Node(

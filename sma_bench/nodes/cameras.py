@@ -1,4 +1,4 @@
-"""The infrared camera: pictures to temperatures of wires, and a stand-in that draws pictures."""
+"""The infrared camera: wire temperatures from images, and a synthetic camera."""
 
 import array
 import math
@@ -17,13 +17,13 @@ from sma_bench.hardware.thermal_wire import CameraReport, ExpectedWarmth, FrameJ
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
 from sma_bench.ros.node import READINGS, BenchTopics, message_class, seconds_of, stamp_of
 
-_FLAG_OPEN, _SWAY_PERIOD = 0, 7.0  # s
+_FLAG_OPEN, _SWAY_PERIOD = 0, 7.0  # in optris_drivers2/msg/Flag; s
 FAULTS = ("none", "frozen", "shutter", "silent", "moved")
 
 
 class IrCamera(BenchNode):
-    """Thermal pictures to wire temperatures: `thermal_image` in, `<channel>/temperature` out. One
-    region of the picture a wire; what cannot be trusted is not published."""
+    """Wire temperatures from thermal images: `thermal_image` in, `<channel>/temperature` out. Each
+    wire has its region of the image; rejected readings are not published."""
 
     frozen = True
     with_uncertainty = True
@@ -44,7 +44,7 @@ class IrCamera(BenchNode):
         if settings["read_cold_wires"]:
             self.listen(BatteryState, "power", lambda k, message: self._warmth[k].voltage(
                 float(message.voltage), time.monotonic()), numbered=True, newest=True)
-        # The Optris driver says when the camera's flag is closed, in a type of its own.
+        # The Optris driver publishes whether the flag is closed, in a message type of its own.
         with suppress(ImportError):
             self.create_subscription(
                 message_class("optris_drivers2/msg/Flag"), "flag_state",
@@ -76,7 +76,7 @@ class IrCamera(BenchNode):
     def _reset(self) -> str:
         for gauge in self._gauges:
             gauge.reset()
-        return "wires that were lost may be read as their background again"
+        return "an unseen wire may be read as its background again"
 
     def _seconds(self) -> float:
         return self.get_clock().now().nanoseconds * 1e-9
@@ -87,8 +87,8 @@ class IrCamera(BenchNode):
 
 
 class SyntheticCameraNode(BenchNode):
-    """Stands in for an infrared camera, in real time only: `<channel>/true_temperature`, remapped
-    from a simulated bench's `<channel>/temperature`, to `thermal_image` as the Optris drivers'."""
+    """A synthetic infrared camera, in real time only: renders `<channel>/true_temperature` (the
+    simulator's `<channel>/temperature`, remapped) as `thermal_image`, like the Optris drivers."""
 
     def __init__(self) -> None:
         super().__init__("synthetic_camera")
@@ -98,7 +98,7 @@ class SyntheticCameraNode(BenchNode):
         height, width = self._camera.shape
         self._message = Image(height=height, width=width, encoding=ENCODING, step=2 * width)
         self._message.data = array.array("B", bytes(2 * width * height))
-        # The message's own array: without field checks it keeps a copy of what it is given.
+        # Pixels are written into the message's own array: assigning to the field would copy them.
         self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
         self._publisher = self.create_publisher(Image, "thermal_image", READINGS, newest=True)
         self.listen(Temperature, "true_temperature", self.on_temperature, True, newest=True)
@@ -131,7 +131,7 @@ class SyntheticCameraNode(BenchNode):
         elif fault == "moved":
             self._pixels[:] = self._camera.empty()
         elif fault != "frozen":
-            # The wires' ends have moved by the bench's deflection and by the sway.
+            # The wires' ends move with the bench's deflection and with the sway.
             swing = math.sin(2.0 * math.pi * time.monotonic() / _SWAY_PERIOD)
             pixels = self._deflection / self.settings["pixel_size"] + self.settings["sway"] * swing
             self._pixels[:] = self._camera.picture(self._kelvin, pixels)
@@ -143,8 +143,8 @@ class SyntheticCameraNode(BenchNode):
         return any(math.isnan(kelvin) for kelvin in self._kelvin)
 
     def health(self) -> list[DiagnosticStatus]:
-        fault, said = self.settings["fault"], "waiting for <channel>/true_temperature"
+        fault, text = self.settings["fault"], "waiting for <channel>/true_temperature"
         rate, self._reported = self._pictures - self._reported, self._pictures
         level = DiagnosticStatus.WARN if self._waiting or fault != "none" else DiagnosticStatus.OK
-        said = said if self._waiting else f"synthetic pictures, fault: {fault}"
-        return [self.status("pictures", level, said, {"picture_rate": rate}, "synthetic camera")]
+        text = text if self._waiting else f"synthetic pictures, fault: {fault}"
+        return [self.status("pictures", level, text, {"picture_rate": rate}, "synthetic camera")]

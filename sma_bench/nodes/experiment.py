@@ -1,5 +1,5 @@
-"""Runs a protocol on the bench, and stops it at 0 V when something is wrong (`live.run`). Should it
-die without a word, the bridge's or simulator's command timeout puts the outputs to 0 V."""
+"""Runs a protocol on the bench and stops it at 0 V on a fault (`live.run`). If this process dies,
+the command timeout of bridge or simulator sets the outputs to 0 V."""
 
 import json
 import time
@@ -27,12 +27,12 @@ from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
 _WATCH_EVERY = 0.05  # s
-_SIMULATION_PAUSE = 10.0  # wall s that a loaded machine may pause a simulation, which heats nothing
-_STEADY = 2.0  # s; whoever starts several benches keeps the readings of one for a second and more
+_SIMULATION_PAUSE = 10.0  # wall s that a loaded machine may pause a simulation: harmless there
+_STEADY = 2.0  # s; while several benches start, readings may be late by a second or more
 
 
 class ExperimentNode(BenchNode):
-    """One protocol at a time; a controller, driving under the same rules, has another `loop`."""
+    """Runs one protocol at a time. A controller has another `loop` and the same safety rules."""
 
     called = "experiment"
 
@@ -42,11 +42,11 @@ class ExperimentNode(BenchNode):
         for kind in settings["feedback"]:
             if kind not in FEEDBACK:
                 raise InputError(f"feedback: {kind!r}, expected {' or '.join(FEEDBACK)}")
-        self._bench_clock, patience = self.get_clock(), _SIMULATION_PAUSE
+        self._bench_clock, pause = self.get_clock(), _SIMULATION_PAUSE
         if not self.simulated:
             be_punctual(DRIVER)
-            self._bench_clock, patience = Clock(clock_type=ClockType.STEADY_TIME), 0.0
-        self._feedback_timeout = max(settings["feedback_timeout"], patience)
+            self._bench_clock, pause = Clock(clock_type=ClockType.STEADY_TIME), 0.0
+        self._feedback_timeout = max(settings["feedback_timeout"], pause)
         self._labelled = partial(ros.voltage_command, channels, signed=ros.signature(self))
         self._guard = Guard(channels, settings["feedback"], self._feedback_timeout)
         self._readiness = Readiness(lambda: self.settings["require_recorder"])
@@ -89,15 +89,15 @@ class ExperimentNode(BenchNode):
         return OpenLoop()
 
     def held(self) -> Set[str]:
-        """The limits always, everything that is said of the bench while it is driven."""
-        run: Run | None = getattr(self, "_run", None)  # ROS asks while the node is made, too
+        """Always the bench's limits; during a run all contract parameters."""
+        run: Run | None = getattr(self, "_run", None)  # ROS asks during construction, too
         everything = {*self._contract, "require_recorder"}
         driving = run is not None and run.running
         return everything if driving else {n for n in everything if n.startswith("bench.")}
 
     def check_settings(self, settings: dict[str, Any]) -> None:
-        """A protocol must be readable before it becomes the parameter's value."""
-        # Whoever started the node may have named any file, whoever sets parameters may not.
+        """Accept only a protocol that can be loaded."""
+        # The command line may name any file; a parameter set later only one inside the root.
         for name in _FILES & settings.keys():
             path, root = settings[name], settings["protocol_root"]
             is_new = path != self.settings[name] and is_path(path)
@@ -114,12 +114,12 @@ class ExperimentNode(BenchNode):
     def health(self) -> list[DiagnosticStatus]:
         run = self._run
         level = DiagnosticStatus.ERROR if run.state == ABORTED else DiagnosticStatus.OK
-        return [self.status("run", level, run.said, {
+        return [self.status("run", level, run.state_text, {
             "protocol": run.protocol.name if run.protocol else "", "step": run.step,
             "obstacle": "" if run.running else run.obstacle(time.monotonic())})]
 
     def on_time_went_back(self, reason: str) -> None:
-        """No step and no volt would be that of its time."""
+        """Steps and voltages would no longer fit the time."""
         if self._run.running:
             self._run.abort(reason)
 
@@ -151,8 +151,8 @@ class ExperimentNode(BenchNode):
             self._run.heard("deflection", "", position, ros.seconds_of(message), time.monotonic())
 
     def _on_clock(self, _: TimeJump) -> None:
-        """One command for each moment of a simulated clock, for which the bench waits. Of a timer
-        of that clock EventsExecutor multiplies the calls where it leaps or is set back."""
+        """Send one command per period of the simulated clock, as the bench waits for it. A timer of
+        that clock would not do: EventsExecutor multiplies its calls when the clock jumps."""
         moment = self._bench_clock.now().nanoseconds
         since = moment - self._ticked
         if not 0 <= since < self._period:
@@ -165,7 +165,7 @@ class ExperimentNode(BenchNode):
     def _plan(self) -> Protocol:
         protocol = self._loop.plan(self.settings, self.parameters)
         if protocol.pulls:
-            self.get_logger().warning(f"{protocol.name}: the frame has to pull as its steps say")
+            self.get_logger().warning(f"{protocol.name}: the load frame must apply its forces")
         self._loop.begin(self.settings, self.parameters)
         return protocol
 
@@ -181,7 +181,7 @@ class ExperimentNode(BenchNode):
 
     def enter(self, state: str) -> None:
         self._publish_state(state)
-        if state.startswith(ABORTED):  # two lines of code: rclpy pins the severity of each
+        if state.startswith(ABORTED):  # two calls: rclpy allows one severity per line of code
             self.get_logger().error(state)
         else:
             self.get_logger().info(state)
@@ -191,9 +191,9 @@ class ExperimentNode(BenchNode):
 
 
 class Controller(ExperimentNode):
-    """Follows references of temperature or deflection under the same rules: a file's to its end,
-    one from the topic until stopped. `~/setpoint` says what is followed, `~/reference` asks for
-    something else: one number a channel, or a single one, in SI units less `zero`."""
+    """Follows a reference of temperature or deflection under the same safety rules: from a file to
+    its end, or from the topic `~/reference` until stopped (one number per channel, or a single one,
+    in SI units less `zero`). `~/setpoint` is what it follows."""
 
     quantity: Quantity
     kind: type[Float64 | Float64MultiArray]
@@ -203,14 +203,14 @@ class Controller(ExperimentNode):
     def __init__(self) -> None:
         super().__init__()
         self._setpoint = self.create_publisher(self.kind, "~/setpoint", ros.READINGS)
-        # Asked for once, where readings come again: none may be lost.
+        # Unlike readings a reference is sent once: reliable, none may be lost.
         self.create_subscription(self.kind, "~/reference", self.on_reference, QoSProfile(depth=10))
 
     def loop(self) -> ClosedLoop:
         return ClosedLoop(self.quantity, self.settings, self.parameters, self.follow)
 
     def follow(self, levels: Sequence[float]) -> None:
-        """Publish the setpoint, SI."""
+        """Publish the setpoint (SI)."""
         numbers = [level - self.zero for level in levels]
         self._setpoint.publish(self.kind(data=numbers[0] if self.kind is Float64 else numbers))
 
@@ -223,14 +223,14 @@ class Controller(ExperimentNode):
 
 
 class TemperatureControllerNode(Controller):
-    """Holds wires at temperatures (E8): one PI a wire; degrees Celsius on the topics."""
+    """Controls the wires' temperatures (E8): one PI per wire; degrees Celsius on the topics."""
 
     called, quantity = "temperature_controller", TEMPERATURE
     kind, zero = Float64MultiArray, CELSIUS_ZERO
 
 
 class DeflectionControllerNode(Controller):
-    """Moves a bench as wanted: the position in joint_states to voltage_command. Without fresh
-    deflections it does not drive, as without fresh readings of the wires."""
+    """Controls the deflection: joint_states in, voltage_command out. It drives only with fresh
+    deflections and fresh readings of the wires."""
 
     called, quantity, kind = "deflection_controller", DEFLECTION, Float64

@@ -3,7 +3,7 @@
     ros2 param set /bench/identification record "['my_bag']"
     ros2 service call /bench/identification/identify std_srvs/srv/Trigger
 
-The work runs in a process of its own and waits in a thread: the node answers meanwhile."""
+The work runs in a process of its own while a thread waits for it, so that the node answers."""
 
 import json
 import threading
@@ -25,10 +25,10 @@ from sma_bench.tasks import jobs
 
 
 class WorkNode(BenchNode):
-    """Latched: `~/state`, a line, and `~/result`, the last one as JSON."""
+    """Publishes, latched, `~/state` (a line) and `~/result` (the last one, as JSON)."""
 
     with_uncertainty = True
-    outputs: ClassVar[dict[str, str]]  # parameters that name what is written, and the name's end
+    outputs: ClassVar[dict[str, str]]  # parameters that name outputs, and the suffix of these
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -55,10 +55,10 @@ class WorkNode(BenchNode):
 
 
 class JobNode(WorkNode):
-    """Answers a service (std_srvs/Trigger) by a result as JSON, or by a line that says why there is
-    none. States: "idle", "busy", "busy: 42 %, pairs". `~/cancel` ends it, which is the answer."""
+    """Offers a service (std_srvs/Trigger) whose answer is a result as JSON, or one line with the
+    reason of a failure. States: "idle", "busy", "busy: 42 %, pairs". `~/cancel` ends the work."""
 
-    # One request at work, one that is refused, and the node's other callbacks.
+    # Threads: one request at work, one that is refused, and the node's other callbacks.
     executor_type = staticmethod(lambda: MultiThreadedExecutor(4))
 
     def __init__(self, name: str, service: str, task: jobs.Task) -> None:
@@ -70,7 +70,7 @@ class JobNode(WorkNode):
         self._enter("idle")
 
     def on_result(self, result: str) -> None:
-        """What else to do with a result."""
+        """Use a result further; for nodes to override."""
 
     def on_request(self) -> str:
         if not self._busy.acquire(blocking=False):
@@ -78,7 +78,7 @@ class JobNode(WorkNode):
         failure = ""
         self._enter("busy")
         try:
-            # What is set from here on is for the next request.
+            # Parameters set from here on apply to the next request.
             result = self._worker.run(
                 self._task, self.settings, self.parameters,
                 lambda share, what: self._enter(f"busy: {100.0 * share:.0f} %, {what}"))
@@ -104,7 +104,7 @@ class IdentificationNode(JobNode):
 
 class DiagnosisNode(JobNode):
     """Diagnoses the gap between bench and model on request: set `record`, call `~/diagnose`.
-    `~/gap`, latched: WARN where they disagree beyond the noise, in all and in each quantity."""
+    `~/gap`, latched: WARN where they disagree beyond the noise, overall and per quantity."""
 
     outputs: ClassVar = {"improved": ".yaml", "report": ""}
 
@@ -125,37 +125,37 @@ class DiagnosisNode(JobNode):
 
 
 _WAITING, _RUNNING = "waiting for confirmation", "running"
-_LOOK_EVERY, _LAST_RUN = 0.05, 10.0  # s; the latter that a run may take to end with its node
+_LOOK_EVERY, _END_TIMEOUT = 0.05, 10.0  # s; the latter for a run to end when the node ends
 
 
 class InvestigationNode(WorkNode):
     """Investigates the gap between bench and model, as `sma-bench investigate` does: set `folder`
-    (and `record`), call `~/start`, which goes on from what the folder holds; `~/confirm` runs what
-    is proposed, `~/stop` ends whatever goes on, at 0 V. States: idle, diagnosing, waiting for
+    (and `record`), call `~/start`, which continues from the folder's contents; `~/confirm` runs the
+    proposed experiment, `~/stop` ends all, at 0 V. States: idle, diagnosing, waiting for
     confirmation: PROTOCOL, running: PROTOCOL, named: CAUSE, inseparable, budget spent, a test is
-    needed, stopped, failed: why. The result is the story, what is proposed under `next`."""
+    needed, stopped, failed: why. The result is the report so far; its `next` is the proposal."""
 
     outputs: ClassVar = {"folder": ""}
 
     def __init__(self) -> None:
-        from sma_bench.ros.bench_client import NodeCalls  # which the other two start without
+        from sma_bench.ros.bench_client import NodeCalls  # not needed by the other two nodes
 
         super().__init__("investigation")
         self._stopping, self._confirmed = threading.Event(), threading.Event()
         self._work: threading.Thread | None = None
         self._calls = NodeCalls(self, lambda: time.sleep(_LOOK_EVERY))
-        self._calls.know("experiment/start")
-        self._calls.know("experiment/stop")
-        self._calls.know("experiment/set_parameters", SetParameters)
+        self._calls.client("experiment/start")
+        self._calls.client("experiment/stop")
+        self._calls.client("experiment/set_parameters", SetParameters)
         self._calls.follow("experiment")
         self._calls.follow("recorder")
         self.serve(start=self.on_start, confirm=self.on_confirm, stop=self.on_stop)
         self._enter("idle")
 
     def drain(self, spin: Callable[[], None]) -> None:
-        """Stop the bench while the experiment node's answer can still be heard."""
+        """Stop the bench while the experiment node's answer can still be received."""
         self.on_stop()
-        end = time.monotonic() + _LAST_RUN
+        end = time.monotonic() + _END_TIMEOUT
         while self._is_busy() and time.monotonic() < end:
             spin()
 
@@ -168,7 +168,7 @@ class InvestigationNode(WorkNode):
             raise InputError(f"busy: {self._state}")
         folder = jobs.investigation_folder(self.settings)
         self._stopping.clear()
-        given = self.settings, self.parameters  # what is set from here on is for the next one
+        given = self.settings, self.parameters  # parameters set later apply to the next start
         self._work = threading.Thread(target=self._investigate, args=given, daemon=True)
         self._work.start()
         return f"in {folder}"
@@ -180,12 +180,12 @@ class InvestigationNode(WorkNode):
         return self._state
 
     def on_stop(self) -> str:
-        said = f"stopping, was {self._state}" if self._is_busy() else "nothing is running"
+        answer = f"stopping, was {self._state}" if self._is_busy() else "nothing is running"
         self._stopping.set()
         if self._state.startswith(_RUNNING):  # at once; the thread then waits for the answer
-            self._calls.know("experiment/stop").call_async(Trigger.Request())
+            self._calls.client("experiment/stop").call_async(Trigger.Request())
         self._worker.end()
-        return said
+        return answer
 
     def _is_busy(self) -> bool:
         return self._work is not None and self._work.is_alive()
@@ -196,7 +196,7 @@ class InvestigationNode(WorkNode):
                 raise InputError("stopped on request")
 
         def report(share: float, what: str) -> None:
-            if self._stopping.is_set():  # it came before the process had begun
+            if self._stopping.is_set():  # the request came before the process had started
                 self._worker.end()
             self._enter(f"diagnosing: {100.0 * share:.0f} %, {what}")
 

@@ -1,4 +1,4 @@
-"""Writes every contract topic under its namespace to a bag that can be read whenever it dies."""
+"""Records every contract topic of its namespace to a bag that stays readable if it is killed."""
 
 import shutil
 import time
@@ -21,16 +21,16 @@ from sma_bench.records.contract import IMAGE
 from sma_bench.ros.node import message_class, recorded_topics
 
 _LOOK_EVERY, _FLUSH_EVERY = 0.2, 1.0  # s
-_DEPTH, _IMAGE_DEPTH = 5000, 100  # what may wait for the disk: seconds, but not of images
+_DEPTH, _IMAGE_DEPTH = 5000, 100  # messages that may wait for the disk: some seconds of readings
 _EMPTY_SPINS = 10  # more than there are timers and clocks to be served between readings
 _LONGEST_DRAIN = 3.0  # s
-_ON_ITS_WAY = 0.5  # s, more than twice what config/dds/this_machine.xml takes to send again
-_NAP, _LITTLE = 0.001, 1 << 30  # s, bytes
+_IN_TRANSIT = 0.5  # s, more than twice the time to a retransmission (config/dds/this_machine.xml)
+_NAP, _NEARLY_FULL = 0.001, 1 << 30  # s; free bytes
 
 
 class Recorder(BenchNode):
-    """Subscribes to what it finds in the graph and writes the bytes as they came; records from its
-    start, or `~/start`, to `~/stop` or its end, each time into a bag of its own."""
+    """Subscribes to the topics in the graph and writes the serialized messages; records from its
+    start, or `~/start`, to `~/stop` or its end, each time into a new bag."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
@@ -38,7 +38,7 @@ class Recorder(BenchNode):
             self.settings["output"],
             lambda: (self.settings["skip_idle"], self.settings["idle_margin"]),
             self.fail, BagWriter)
-        self._said, self._publish = "idle", self.line("~/state")
+        self._state, self._publish = "idle", self.line("~/state")
         self.every(_LOOK_EVERY, self._look)
         self.every(_FLUSH_EVERY, self._flush)
         self.serve(start=self._start, stop=self._stop, split=self._split)
@@ -47,25 +47,25 @@ class Recorder(BenchNode):
     def health(self) -> list[DiagnosticStatus]:
         recording = self._recording
         values: dict[str, Any] = {"output": recording.output, "messages": recording.total}
-        level, message = DiagnosticStatus.OK, self._said
+        level, message = DiagnosticStatus.OK, self._state
         with suppress(OSError):
             values["free_bytes"] = shutil.disk_usage(Path(recording.output or ".").parent).free
-            if values["free_bytes"] < _LITTLE:
+            if values["free_bytes"] < _NEARLY_FULL:
                 level, message = DiagnosticStatus.WARN, f"{message}; the disk is nearly full"
         if self.failure:
             level, message = DiagnosticStatus.ERROR, str(self.failure)
         return [self.status("bag", level, message, values)]
 
     def drain(self, spin: Callable[[], None]) -> None:
-        # A bench that goes on leaves a gap between its readings, too: by then all was taken.
-        begin, gone, empty = time.monotonic(), 0.0, 0
-        while gone < _ON_ITS_WAY or (gone < _LONGEST_DRAIN and empty < _EMPTY_SPINS):
+        # Spins without a message end it: a bench that still publishes pauses between readings, too.
+        begin, elapsed, empty = time.monotonic(), 0.0, 0
+        while elapsed < _IN_TRANSIT or (elapsed < _LONGEST_DRAIN and empty < _EMPTY_SPINS):
             written = self._recording.total
             spin()
             empty = empty + 1 if self._recording.total == written else 0
-            if empty and gone < _ON_ITS_WAY:
+            if empty and elapsed < _IN_TRANSIT:
                 time.sleep(_NAP)
-            gone = time.monotonic() - begin
+            elapsed = time.monotonic() - begin
 
     def close(self) -> None:
         self._finish()
@@ -74,7 +74,7 @@ class Recorder(BenchNode):
         self.wait_for_listeners()
 
     def on_time_went_back(self, reason: str) -> None:
-        """Later messages would have the stamps of those that are written already."""
+        """Later messages would get stamps before those of messages already written."""
         self._recording.fail(InputError(f"{self._recording.output or 'recorder'}: {reason}"))
 
     def _begin(self, output: str) -> None:
@@ -117,7 +117,7 @@ class Recorder(BenchNode):
         for topic, kind in recorded_topics(self).items():
             if topic in self._recording.topics or not self._recording.add(topic, kind):
                 continue
-            # The most that every present publisher of the topic offers.
+            # The best QoS that all present publishers of the topic offer.
             qos = QoSProfile(depth=_IMAGE_DEPTH if kind == IMAGE else _DEPTH,
                              reliability=ReliabilityPolicy.BEST_AVAILABLE,
                              durability=DurabilityPolicy.BEST_AVAILABLE)
@@ -128,7 +128,7 @@ class Recorder(BenchNode):
 
     def _write(self, topic: str, data: bytes) -> None:
         stamp = self.get_clock().now().nanoseconds
-        if stamp == 0:  # simulated time has not begun: there is no time to write it under
+        if stamp == 0:  # simulated time has not begun: the message would have no time
             line = "use_sim_time is set, but there is no /clock yet: nothing is written"
             self.get_logger().warning(line, throttle_duration_sec=1.0)
             return
@@ -140,6 +140,6 @@ class Recorder(BenchNode):
         self._publish_state()
 
     def _publish_state(self, state: str = "") -> None:
-        """Say a state, or once more the last one."""
-        self._said = state or (FAILED if self.failure else self._said)
-        self._publish(self._recording.state(self._said))
+        """Publish a new state, or the last one again."""
+        self._state = state or (FAILED if self.failure else self._state)
+        self._publish(self._recording.state(self._state))

@@ -1,6 +1,6 @@
-"""The bench's Uno on ROS: readings out, volts in, under the rules of hardware/safety.py.
+"""The bench's Uno on ROS: publishes readings and sends voltages, under hardware/safety.py's rules.
 
-States: not connected, idle, enabled, stopped: why. It connects, but never enables, by itself."""
+States: not connected, idle, enabled, stopped: why. It connects by itself, but never enables."""
 
 import sys
 import time
@@ -23,13 +23,13 @@ from sma_bench.parameters.parameter import SOURCES
 from sma_bench.ros import node as ros
 
 _TICK = 0.005  # s
-_SWITCH = 1e-4  # s: the link's thread reads its clock when bytes arrive, and waits for no other
-_AT_ONCE = 100_000  # ns between two readings of a clock that nobody interrupted
+_SWITCH = 1e-4  # s: short, so that the link's thread can read its clock as soon as bytes arrive
+_AT_ONCE = 100_000  # ns between two readings of a clock, if the process was not interrupted
 _CLOCK_STEP = 1000  # Hz: telemetry windows are whole milliseconds
 
 
 class SerialBridge(BenchNode):
-    """The link has its own thread; all else happens in the node's."""
+    """The link has its own thread; all else runs in the node's."""
 
     frozen = True
 
@@ -45,10 +45,10 @@ class SerialBridge(BenchNode):
         self._scheduling, self._last_state = be_punctual(BRIDGE), ""
         sys.setswitchinterval(_SWITCH)
         self._arrived, self._events = deque[Telemetry](), deque[str]()
-        # Of one report's period: readings, the greatest age of one (s), newest temperatures (K).
+        # Since the last report: readings, highest age of one (s); newest temperatures (K).
         self._readings, self._oldest = 0, 0.0
         self._kelvin: dict[str, float] = {}
-        self._to_ros = 0  # ns from the monotonic clock to ROS time; the system's may be set
+        self._to_ros = 0  # ns from the monotonic clock to ROS time, which may be set while it runs
         self._channels = self.parameters["bench.channels"]
         sensors = BenchSensors(self.parameters["bench.channel_sides"], settings)
         self._link = SerialLink(lambda: open_port(settings["port"] or find_port()),
@@ -71,13 +71,13 @@ class SerialBridge(BenchNode):
                    reset=lambda: self._ask(driver.reset),
                    self_test=lambda: self._ask(self._self_test))
         self.every(_TICK, self._tick)
-        self._link.start()  # connects, again and again if need be
+        self._link.start()
 
     def close(self) -> None:
         self._link.close()
 
     def _tick(self) -> None:
-        # Whoever was kept waiting between the two clocks would shift every stamp.
+        # An interruption between reading the two clocks would shift all stamps: skip such pairs.
         before = time.monotonic_ns()
         stamps = self.get_clock().now().nanoseconds
         after = time.monotonic_ns()
@@ -115,7 +115,7 @@ class SerialBridge(BenchNode):
         self._guard.temperature(channel, kelvin, taken, time.monotonic(), self._limits)
 
     def _ask(self, act: Callable[[], str | None]) -> tuple[bool, str]:
-        """Have the driver do something; its line, or the bench's state after it."""
+        """Let the driver act; returns success and its message, or the bench's state after it."""
         try:
             return True, act() or self._driver.state
         except LinkError as error:

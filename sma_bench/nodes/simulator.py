@@ -1,4 +1,4 @@
-"""Stands in for the bench: same topics, types, rates and sensor noise as the hardware."""
+"""The simulated bench: same topics, types, rates and sensor noise as the hardware."""
 
 import time
 from collections import Counter
@@ -18,14 +18,14 @@ from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.ros.node import COMMAND, NANOSECONDS, READINGS, BenchTopics, Commanders
 
-_SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; a bench answers within its readings' period
-_SLICES_AT_ONCE = 8  # in one callback, so that commands and services get their turn
-_MOST_CAUGHT_UP = 1000  # slices before a command at real time, where the machine was late
+_SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; the latter: period of the fastest readings
+_SLICES_AT_ONCE = 8  # per callback, so that commands and services get their turn
+_MOST_CAUGHT_UP = 1000  # slices run before a command in real time, if the machine was late
 _CLOCK, _CLOCK_REPEAT, _CLOCK_WATCH = "/clock", 0.05, 0.5  # s
 
 
 class Simulator(BenchNode):
-    """Simulated time runs in slices between commands; in real time a slice ends where one comes."""
+    """Simulated time runs in slices between commands; in real time a command ends a slice."""
 
     frozen = True
 
@@ -34,7 +34,7 @@ class Simulator(BenchNode):
         limits, speed = Limits.from_parameters(self.parameters), self.settings["speed"]
         self._fast = speed > REAL_TIME
         if self._fast:
-            # Two times on one topic would spoil the records of both benches without a word.
+            # Two clocks on one topic would spoil the records of both benches unnoticed.
             try:
                 self.claims.append(claimed(self.resolve_topic_name(_CLOCK)))
             except InputError as error:
@@ -45,9 +45,9 @@ class Simulator(BenchNode):
             self.every(_CLOCK_WATCH, self._watch_clock)
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
         self._slice = round(slice_length * NANOSECONDS)
-        self._now, self._epoch, self._begun = 0, time.time_ns(), 0  # ns, since the start, of that
+        self._now, self._epoch, self._begun = 0, time.time_ns(), 0  # ns: simulated; wall, monotonic
         self._bench = VirtualBench(self.parameters, self.settings)
-        if not self._fast:  # what it stands in for is never late
+        if not self._fast:  # the real device is never late
             be_punctual(BRIDGE)
         channels, composite = self._bench.channels, self._bench.composite
         self._topics = BenchTopics(self, channels, (*channels, "ambient"),
@@ -66,7 +66,7 @@ class Simulator(BenchNode):
 
     def on_command(self, message: Float64MultiArray) -> None:
         sender, fault = self._commanders.judge(message, self._bench.channels)
-        if not self._fast:  # what it causes is never stamped before it, however late the ticks
+        if not self._fast:  # catch up first: effects of a command must be stamped after it
             self._tick(_MOST_CAUGHT_UP)
         now, gate = self._now / NANOSECONDS, self._gate
         if reason := gate.refuse(fault) if fault else gate.command(message.data, now, sender):
@@ -77,21 +77,21 @@ class Simulator(BenchNode):
             self._tick()
 
     def _tick(self, slices: int = _SLICES_AT_ONCE) -> None:
-        if not self._begun:  # time begins here, not when the node was made
+        if not self._begun:  # time begins with the first tick, not with the construction
             self._epoch, self._begun = time.time_ns(), time.monotonic_ns()
         wall = time.monotonic_ns() - self._begun
         for _ in range(slices):
             until = min(self._now + self._slice, wall)
             if self._fast:
-                goes = self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic())
-                until = self._now + goes * self._slice
+                advances = self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic())
+                until = self._now + advances * self._slice
             if until <= self._now:
                 break
             for reading in self._bench.advance(self._gate.outputs(self._now / NANOSECONDS), until):
                 self._publish(reading)
             self._now = until
             self._publish_clock()
-        # /clock is best effort at its readers: a lost one must not stop the lockstep.
+        # Subscribers read /clock best effort: repeat it, as a lost one must not stop the lockstep.
         if time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
             self._publish_clock()
 
@@ -118,18 +118,18 @@ class Simulator(BenchNode):
             self._clock_sent = time.monotonic()
 
     def stamp(self) -> Time:
-        """Simulated time: the node gives the clock and does not hear it."""
+        """Simulated time: this node publishes the clock and does not subscribe to it."""
         seconds, rest = divmod(self._epoch + self._now, NANOSECONDS)
         return Time(sec=seconds, nanosec=rest)
 
     def _watch_clock(self) -> None:
-        # The graph still lists who was killed: only what is heard counts.
+        # The graph still lists killed nodes: only a received clock counts.
         if self._others is None and self.count_publishers(_CLOCK) > 1:
             self._others = self.create_subscription(Clock, _CLOCK, self.on_clock, READINGS)
 
     def on_clock(self, message: Clock) -> None:
         time_ns = message.clock.sec * NANOSECONDS + message.clock.nanosec
-        if (time_ns - self._epoch) % self._slice:  # no tick of this clock
+        if (time_ns - self._epoch) % self._slice:  # not a tick of this clock
             infos = self.get_publishers_info_by_topic(_CLOCK)
             names = {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
             others = ", ".join(sorted(names - {self.get_fully_qualified_name()})) or "another node"

@@ -1,7 +1,7 @@
-"""What the executables start: `python -m sma_bench.nodes.start NODE [--ros-args ...]`, or several
-nodes in one process: `... bench NODE [-p NAME:=VALUE] [NODE ...] [--ros-args ...]`.
+"""Starts a node: `python -m sma_bench.nodes.start NODE [--ros-args ...]`, or several nodes in one
+process: `... bench NODE [-p NAME:=VALUE] [NODE ...] [--ros-args ...]`.
 
-Imports nothing of weight: a signal while modules are read ends it in silence: nothing is driven."""
+Heavy imports come later; until they are done a signal just ends the process: nothing is driven."""
 
 import contextlib
 import faulthandler
@@ -28,27 +28,27 @@ NODES = {  # by the executable's name: module and class
     "investigation": "job_nodes.InvestigationNode", "twin": "twin.TwinNode",
     "temperature_controller": "experiment.TemperatureControllerNode",
     "deflection_controller": "experiment.DeflectionControllerNode"}
-# The executable of several nodes. What holds the hardware keeps a process of its own.
+# The executable of several nodes. The node of the hardware always has its own process.
 CONTAINER, _APART = "bench", frozenset({"serial_bridge"})
-# These drive, and say at their start what holds them back, and where each limit is from.
+# These drive, and log their limits and the source of each at their start.
 _DRIVERS = ("serial_bridge", "experiment", "temperature_controller", "deflection_controller")
 _LIMITS = ("maximum_voltage", "maximum_current", "maximum_temperature", "command_timeout")
-_SIGNAL_LATENCY = 0.1  # s: signals arrive at Python only between two waits of the executor
-# s for 0 V and a recorder's index, then for what is left. Fast DDS once spun for ever while a node
-# was taken to pieces, with Python's lock held: only the kernel ends that.
+_SIGNAL_LATENCY = 0.1  # s: Python handles signals only between two waits of the executor
+# s for 0 V and a recorder's index; then for each further step. Fast DDS once looped for ever while
+# a node was destroyed, with Python's lock held: only the kernel can end that.
 _CLOSING, _LEAVING = 30.0, 2.5
 
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node, or all of a container, until SIGINT, SIGTERM, the end of one of them or of the
-    ROS context: 0 at a clean end, 2 after bad input or without what it imports, logged in a line.
-    The signals are handled here: rclpy's handler ends the context before a node's last message."""
+    ROS context. Returns 0 at a clean end, 2 after bad input or a failed import (logged in a line).
+    Signals are handled here: rclpy's handler ends the context before a node's last message."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     asks_for_help = bool({"-h", "--help"} & set(arguments))
     if not asks_for_help:
         for number in ending_signals():
             signal.signal(number, lambda *_: os._exit(0))
-        print(f"starting {name}", flush=True)  # its libraries take a second, or many
+        print(f"starting {name}", flush=True)  # importing takes a second or more
     from sma_bench.errors import InputError
     from sma_bench.installation import one_blas_thread
 
@@ -62,10 +62,10 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     from sma_bench.ros.node import end_of_ros, start_ros
 
     nodes = dict[str, Any]()
-    # No locks, that a signal could find held: what has ended; while nodes are made, and compile.
+    # Lists, as a signal handler may take no lock: what ended; while nodes are made; and compile.
     over, making, compiling = list[Any](), [True], list[bool]()
 
-    def end(*_: Any) -> None:  # asked twice it is no more
+    def end(*_: Any) -> None:  # a second signal has no further effect
         is_first = not over
         over.append(None)
         if is_first and compiling and making:
@@ -91,7 +91,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         for name, own in named.items():
             sources[name] = check_arguments(name, [*shared, *own])
         start_ros(shared)
-        # A node that simulates waits once after an installation; others have no compiler loaded.
+        # Nodes that simulate compile once after an installation; others load no compiler.
         if compiled := sys.modules.get("sma_bench.compiled"):
             compiled.when_compiling(waits)
         for name, own in named.items():
@@ -121,21 +121,21 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         pass
     finally:
         _end_within(_LEAVING)
-        for node in nodes.values() if making else ():  # another could not be made
-            node.close()  # a recorder has a bag open
+        for node in nodes.values() if making else ():  # creation of another node failed
+            node.close()  # a recorder may have a bag open
         with end_of_ros():
             for node in nodes.values():
                 _end_within(_LEAVING)  # for each of them
                 node.destroy_node()
             _end_within(_LEAVING)
-            gc.collect()  # one that was half made leaves the graph with its last reference
+            gc.collect()  # a half-constructed node leaves the graph with its last reference
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         faulthandler.cancel_dump_traceback_later()
     return 0
 
 
 def _serve(node: Any, over: list[Any]) -> None:
-    """Serve a node until something is over, which its own end is, too; it closes at the latter."""
+    """Serve a node until it or another one ends, then close it."""
     import rclpy
 
     executor = type(node).executor_type()
@@ -143,7 +143,7 @@ def _serve(node: Any, over: list[Any]) -> None:
     node.get_logger().info("ready")
     try:
         while rclpy.ok() and not over and node.failure is None:
-            # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
+            # Not spin(): with EventsExecutor it runs no callback, and would not notice a signal.
             executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
     finally:
         over.append(node)
@@ -154,8 +154,8 @@ def _serve(node: Any, over: list[Any]) -> None:
 
 
 def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]]:
-    """The nodes of a container's command line, each with the arguments after its name, and what
-    they share, from --ros-args on. InputError: no node, one twice, or what cannot be in it."""
+    """The nodes of a container's command line, each with the arguments after its name, and those
+    that all share, from --ros-args on. InputError: no node, one twice, or one not allowed."""
     from sma_bench.errors import InputError
 
     end = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
@@ -173,15 +173,15 @@ def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]
 
 
 def _end_within(seconds: float) -> None:
-    """Have the kernel end this process by then, whatever holds it; what does is said before."""
+    """Let the kernel end this process after `seconds`; prints before where it hangs."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
-    with contextlib.suppress(RuntimeError, ValueError, OSError):  # no terminal to say it on
+    with contextlib.suppress(RuntimeError, ValueError, OSError):  # no terminal
         faulthandler.dump_traceback_later(0.8 * seconds)
 
 
 def node_help(node: str) -> str:
-    """What --help prints: usage and the node's own parameters."""
+    """The text of --help: usage and the node's own parameters."""
     from sma_bench.parameters.node_tables import NODE_TABLES
 
     if node == CONTAINER:
@@ -196,10 +196,10 @@ def node_help(node: str) -> str:
 
 
 def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
-    """Check every parameter file and `-p name:=value` of a command line without the program's name;
-    where the value of each name is from. InputError: unreadable file, or none of it for this node,
+    """Check every parameter file and `-p name:=value` of a command line (without program name);
+    returns the source of each name's value. InputError: unreadable file, none for this node,
     unknown name (with the nearest known), wrong type or out of range; one line with the file."""
-    # ROS passes over unknown names: a slip of the pen would leave a default, a safety limit's too.
+    # ROS ignores unknown names: a typing error would leave a default, even of a safety limit.
     from sma_bench.border import load_yaml
     from sma_bench.errors import InputError, errors_in
     from sma_bench.parameters.node_tables import NODE_TABLES, OF_NODES, refuse_unknown
@@ -213,15 +213,15 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
             inside = option == "--ros-args"
             continue
         if not inside:
-            raise InputError(f"unknown argument {option!r}: what is ROS's stands after --ros-args")
+            raise InputError(f"unknown argument {option!r}: ROS arguments follow --ros-args")
         options.append((option, value))
-        # The node's own section of a file is that of its name.
+        # The node's section in a file has its (remapped) name and namespace.
         name, _, target = value.partition(":=")
         if option in ("-r", "--remap") and target and name in ("__node", "__name"):
             named = target
         elif option in ("-r", "--remap") and name == "__ns":
             namespace = f"/{target.strip('/')}" if target.strip("/") else ""
-    # Later sources win; what fits only together may come from several.
+    # Later sources override earlier ones; all values are validated together.
     own = {parameter.name: parameter for parameter in NODE_TABLES[node]}
     contract, sources = dict[str, Any](), dict[str, str]()
     for option, value in options:
@@ -235,15 +235,15 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
         else:
             with errors_in(f"-p {value:.80}"):
                 values = flatten({name.split(":")[-1]: load_yaml(text)})
-        # A file may be for several nodes, what a command line says is for this one.
+        # A file may be for several nodes, the command line is for this one.
         shared = option == "--params-file" or ":" in name
         refuse_unknown(values, where, OF_NODES if shared else own)
         for name, given in values.items():
             parameter = own.get(name) or BY_NAME.get(name)
             if parameter is None and name.removeprefix(UNCERTAINTY_PREFIX) not in BY_NAME:
                 continue  # another node's, or ROS's own
-            whole = isinstance(given, int) and not isinstance(given, bool)
-            if whole and (parameter is None or parameter.kind == "double"):
+            is_integer = isinstance(given, int) and not isinstance(given, bool)
+            if is_integer and (parameter is None or parameter.kind == "double"):
                 raise InputError(f"{where}: {name} is the integer {given}, ROS expects {given}.0")
             if name in own:
                 own[name].validated(given, where)
@@ -267,11 +267,11 @@ def __getattr__(name: str) -> Callable[[], None]:
 
 
 def _run(name: str, argv: Sequence[str] | None = None) -> None:
-    """Everything is closed by then: the interpreter takes a second to take itself to pieces."""
+    """Start, and exit at once: all is closed, and the interpreter's own end takes a second."""
     status = start(name, argv)
     _end_within(_LEAVING)
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # nobody may be left to read it
+        with contextlib.suppress(OSError, ValueError):  # the reader may be gone
             stream.flush()
     os._exit(status)
 

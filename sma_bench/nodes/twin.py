@@ -1,4 +1,4 @@
-"""Runs the model beside the bench on the measured voltages, and says where the two part."""
+"""Runs the model beside the bench on the measured voltages, and reports where they differ."""
 
 import math
 import time
@@ -19,18 +19,18 @@ from sma_bench.ros.node import NAN, NANOSECONDS, READINGS, BenchTopics, stamp_of
 from sma_bench.twin import twin
 from sma_bench.twin.twin import Prediction, Residual, Twin
 
-# Topics below `twin/` are called as those of the bench that they stand beside, and have their types
-# and stamps. A residual is measured less predicted; what is not part of it is NaN.
+# Topics below `twin/` have the names, types and stamps of the bench's. A residual is measured minus
+# predicted; fields without a residual are NaN.
 PREDICTED, RESIDUAL, ENERGY = "twin/", "twin/residual/", "twin/energy/"
-LIMITS = {"twin/low/": -1.0, "twin/high/": 1.0}  # times how far a sound bench may be off
-# Reliable unless a publisher that is there already is not: a lost voltage is a wrong prediction.
-# Deep, as a player or a simulation faster than life comes in bursts.
+LIMITS = {"twin/low/": -1.0, "twin/high/": 1.0}  # times the tolerance of a bench without a gap
+# Reliable if all present publishers are: a lost voltage makes a wrong prediction. A long queue, as
+# players and fast simulations publish in bursts.
 _OFFERED = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_AVAILABLE)
 _STEP_EVERY, _SILENCE = 0.02, 2.0  # s
 
 
 class TwinNode(BenchNode):
-    """Listens, and drives nothing. Parameters, effects among them, may change while it runs."""
+    """Only listens, never drives. Parameters, also of effects, may change while it runs."""
 
     with_uncertainty = True  # a diagnosis's file loads whole into the running node
 
@@ -38,8 +38,8 @@ class TwinNode(BenchNode):
         super().__init__("twin")
         self._channels = self.parameters["bench.channels"]
         self._joint = "tip" if moves_tip(self.parameters) else "wire"
-        self._moves = load_kind(self.parameters) != "clamped"  # its position is compared
-        # Publishers of a bench's topics below that, made when first needed.
+        self._moves = load_kind(self.parameters) != "clamped"  # then its position is compared
+        # Publishers of a bench's topics below a prefix, created when first needed.
         self._below = cache(lambda below: BenchTopics(self, self._channels, self._channels,
                                                       joint=self._joint, below=below))
         self._below(PREDICTED)
@@ -50,7 +50,7 @@ class TwinNode(BenchNode):
         self._twin = Twin(self.parameters, self.settings, self._predict, self._part)
         if self._twin.no_band:
             raise InputError(f"band: {self._twin.no_band}")
-        self._loaded, self._judged, self._said = self.parameters, self._twin.verdict, ""
+        self._loaded, self._judged, self._message = self.parameters, self._twin.verdict, ""
         self._heard, self._restarts = time.monotonic(), 0
         self.listen(BatteryState, "power", self.on_power, True, _OFFERED)
         self.listen(Temperature, "temperature", self.on_temperature, True, _OFFERED)
@@ -115,19 +115,19 @@ class TwinNode(BenchNode):
         self._twin.advance()
         if self._restarts != self._twin.restarts:
             self._restarts = self._twin.restarts
-            self.get_logger().info(f"began anew: {self._twin.reason}")
+            self.get_logger().info(f"restarted: {self._twin.reason}")
         verdict = self._twin.verdict
         if verdict is not self._judged:
             self._judged = verdict
             for state in verdict.measured:
                 if not math.isnan(state.energy):
                     self._energy[state.stage].publish(Float64(data=state.energy))
-            if verdict.message != self._said and verdict.measured:
+            if verdict.message != self._message and verdict.measured:
                 self.diagnose()
 
     def _accept(self) -> str:
         self._twin.accept()
-        return "the present gap is known; only more of it counts as grown"
+        return "the present gap is accepted; only an increase counts as grown"
 
     def health(self) -> list[DiagnosticStatus]:
         verdict, silence = self._twin.verdict, time.monotonic() - self._heard
@@ -135,13 +135,13 @@ class TwinNode(BenchNode):
         level, message = DiagnosticStatus.WARN if gap else DiagnosticStatus.OK, verdict.message
         if silence > _SILENCE:
             level, message = DiagnosticStatus.STALE, "no voltages"
-        if message != self._said:
-            # Two lines of code: rclpy pins the severity of each.
+        if message != self._message:
+            # Two calls: rclpy allows one severity per line of code.
             if level == DiagnosticStatus.OK:
                 self.get_logger().info(message)
             else:
                 self.get_logger().warning(message)
-            self._said = message
+            self._message = message
         lines = [self.status("gap", level, message, {
             "state": verdict.state, "stages": " ".join(verdict.stages),
             "sides": " ".join(verdict.sides), "model_time": f"{self._twin.stamp / NANOSECONDS:.3f}",

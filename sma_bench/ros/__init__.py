@@ -1,1 +1,1 @@
-"""What nodes and commands know of ROS: its context and QoS, who may reach it, a bench's client."""
+"""ROS for nodes and commands: context, QoS, discovery, a client of a bench, its dashboard."""

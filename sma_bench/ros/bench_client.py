@@ -1,4 +1,4 @@
-"""What scripts and other nodes ask of the bench's nodes; a protocol run and recorded."""
+"""Calls of the bench's nodes by scripts and other nodes; a protocol run that is recorded."""
 
 import os
 import re
@@ -24,15 +24,15 @@ from sma_bench.live.run import DONE, IDLE, RUNNING
 from sma_bench.ros.node import LATCHED, READINGS, OverridableNode, end_of_ros, start_ros
 from sma_bench.ros.processes import NodeProcesses
 
-_SPIN, _PATIENCE = 0.05, 60.0  # s
-_MATCHING = 0.3  # s that a server takes to match a client, whose answers are lost until then
-_STOPPING = 5.0  # s that the experiment node may take to answer a stop
+_SPIN, _TIMEOUT = 0.05, 60.0  # s
+_MATCHING = 0.3  # s until a server has matched a new client; earlier answers are lost
+_STOP_TIMEOUT = 5.0  # s for the experiment node to answer a stop
 _BUSY = re.compile(r"busy: (\d+) %, (.*)")
-_DISCOVERY = 30.0  # s in which the experiment finds readings and a recorder that are there
+_DISCOVERY = 30.0  # s in which the experiment node finds existing readings and a recorder
 
 
 class NodeCalls:
-    """What a node asks of the others of its namespace. `spin`, of about 0.05 s, is called while
+    """A node's calls to the others of its namespace. `spin`, of about 0.05 s, is called while
     waiting and may raise to end the wait."""
 
     def __init__(self, node: Node, spin: Callable[[], None]) -> None:
@@ -52,18 +52,18 @@ class NodeCalls:
         return self._states.get(node, "")
 
     def progress(self, node: str) -> tuple[float, str] | None:
-        """Share (0 to 1) of its work that a node has done, and what it does; None: no work."""
+        """Share (0 to 1) of a node's work that is done, and its current step; None: no work."""
         found = _BUSY.match(self.state(node))
         return (int(found[1]) / 100.0, found[2]) if found else None
 
-    def know(self, service: str, kind: Any = Trigger) -> Client:
-        """The client of a service, made at its first use."""
+    def client(self, service: str, kind: Any = Trigger) -> Client:
+        """The client of a service, created at its first use."""
         if service not in self._clients:
             self._clients[service] = self._node.create_client(kind, service)
         return self._clients[service]
 
     def wait(self, what: str, condition: Callable[[], Any], timeout: float) -> Any:
-        """What `condition` returns once true; InputError, led by `what`: not in `timeout` s."""
+        """The first true value of `condition`. InputError (begins with `what`): not in time."""
         end = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > end:
@@ -72,9 +72,9 @@ class NodeCalls:
         return value
 
     def find(self, service: str, timeout: float = 10.0) -> None:
-        """Make sure that a Trigger service is there. InputError: it is not, within `timeout` s."""
+        """Wait for a Trigger service. InputError: not found within `timeout` s."""
         try:
-            self.wait(service, self.know(service).service_is_ready, timeout)
+            self.wait(service, self.client(service).service_is_ready, timeout)
         except InputError:
             domain = os.environ.get("ROS_DOMAIN_ID") or "0"
             raise InputError(
@@ -89,7 +89,7 @@ class NodeCalls:
         return str(answer.message)
 
     def set_parameters(self, node: str, values: Mapping[str, Any], timeout: float = 10.0) -> None:
-        """Set parameters of a node. InputError: no such node in time, or why it refused one."""
+        """Set parameters of a node. InputError: node not found in time, or a value refused."""
         set_to = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
         request = SetParameters.Request(parameters=set_to)
         answer = self._call(f"{node}/set_parameters", SetParameters, request, timeout)
@@ -98,7 +98,7 @@ class NodeCalls:
                 raise InputError(f"{node}: {name}: {shown(result.reason)}")
 
     def _call(self, service: str, kind: Any, request: Any, timeout: float) -> Any:
-        client = self.know(service, kind)
+        client = self.client(service, kind)
         self.wait(service, client.service_is_ready, timeout)
         matched = time.monotonic() + _MATCHING
         self.wait(service, lambda: time.monotonic() > matched, timeout)
@@ -109,26 +109,26 @@ class NodeCalls:
     def run_recorded(self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
                      heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
                      needed: Collection[str] = ()) -> None:
-        """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever ends
-        this before the protocol's end stops the experiment at 0 V and leaves no bag; an unfinished
-        one is kept next to it. `protocol`: its file; `name`, `seconds`: of it; `bag`: new folder;
+        """Let the experiment node run a protocol while a recorder started here records it. If
+        anything ends this early, the experiment stops at 0 V and the unfinished bag keeps another
+        name. `protocol`: its file; `name`, `seconds`: its name and duration; `bag`: new folder;
         `heed`: called with the experiment's state some 20 times a second, may raise to end the run;
         `simulated_time`: whether the bench runs on /clock; `needed`: relative topics to be recorded
         before it starts. InputError: the experiment is not ready or aborts, or a node is gone."""
         bag = Path(bag)
         unfinished = bag.with_name(f"unfinished_{bag.name}")
-        _put_aside(unfinished)  # of a process that was killed
+        _rename_unfinished(unfinished)  # left by a process that was killed
         self.follow("experiment")
         self.follow("recorder")
         self.find("experiment/start")
-        self.wait("experiment", lambda: self.state("experiment"), _PATIENCE)
+        self.wait("experiment", lambda: self.state("experiment"), _TIMEOUT)
         if not (state := self.state("experiment")).startswith((IDLE, DONE)):
             raise InputError(f"experiment: {shown(state)}: expected idle or done; reset it first")
 
         def is_recorded() -> bool:
             look()
             found = recorder_state(self.state("recorder"))
-            # Another bag's last state may still be on its way when the next recorder starts.
+            # The last state of another bag's recorder may still arrive.
             if not found or (found["state"], found["output"]) != ("recording", str(unfinished)):
                 return False
             heard = {topic.removeprefix(f"{self._namespace}/") for topic in found["messages"]}
@@ -150,39 +150,39 @@ class NodeCalls:
                     return self.state("experiment")
 
                 nodes.start("recorder", {"output": str(unfinished), "use_sim_time": simulated_time})
-                self.wait("recorder", is_recorded, _PATIENCE)
+                self.wait("recorder", is_recorded, _TIMEOUT)
                 self.set_parameters("experiment", {"protocol": str(Path(protocol).resolve())})
                 self._states["experiment"] = ""  # it may have run one of this name before
                 try:
-                    # On a busy machine it may know of the last recorder's end for a while, and not
-                    # yet of ours.
+                    # On a busy machine the experiment may not have discovered our recorder yet,
+                    # only the end of the previous one.
                     end = time.monotonic() + _DISCOVERY
                     while True:
                         try:
-                            self.trigger("experiment/start", _PATIENCE)
+                            self.trigger("experiment/start", _TIMEOUT)
                             break
                         except InputError:
                             look()
                             if time.monotonic() > end:
                                 raise
-                    self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
+                    self.wait(name, is_done, seconds * 2.0 + _TIMEOUT)
                 except BaseException:
-                    self.trigger("experiment/stop", _STOPPING)
+                    self.trigger("experiment/stop", _STOP_TIMEOUT)
                     raise
         except BaseException:
-            _put_aside(unfinished)
+            _rename_unfinished(unfinished)
             raise
         unfinished.rename(bag)
 
 
-def _put_aside(bag: Path) -> None:
-    """Keep an unfinished bag, where there is one, under a name that nothing else has."""
+def _rename_unfinished(bag: Path) -> None:
+    """Give an unfinished bag, if there is one, a unique name."""
     if bag.exists():
         bag.rename(bag.with_name(f"{bag.name}_{time.time_ns()}"))
 
 
 class BenchClient(NodeCalls, AbstractContextManager["BenchClient"]):
-    """A script's own node for it, in a ROS context of its own; use as a context manager.
+    """NodeCalls of a script, with its own node and ROS context; use as a context manager.
     `meanwhile` is called about 20 times a second while waiting and may raise to end the wait."""
 
     def __init__(self, namespace: str, meanwhile: Callable[[], None] = lambda: None,

@@ -1,5 +1,5 @@
-"""Listens to a bench for its web page, and stops it: graph and messages in, dashboard/ out. Topics,
-services and parameters are looked for below a namespace, again and again."""
+"""The web page's node: passes a bench's graph and messages to dashboard/, and stops the bench. It
+searches topics, services and parameters below a namespace periodically."""
 
 import math
 import threading
@@ -27,8 +27,8 @@ from sma_bench.records.contract import BATTERY_STATE, JOINT_SIGNALS, MULTI_ARRAY
 from sma_bench.ros import node as ros
 from sma_bench.ros.bench_client import NodeCalls
 
-_LOOK_EVERY, _ASK_EVERY, _SPIN, _PATIENCE = 0.5, 2.0, 0.05, 5.0  # s
-_ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the bench know
+_LOOK_EVERY, _ASK_EVERY, _SPIN, _TIMEOUT = 0.5, 2.0, 0.05, 5.0  # s
+_PARAMETERS = ["bench.channels", *LIMITS]  # only nodes with limits of the bench have these
 _LEVELS = "ok", "warning", "error", "stale"  # of a DiagnosticStatus, from 0
 _RECORDER, _WORK = "recorder", {"identify": "identification", "diagnose": "diagnosis"}
 _SERVICES = {**dict.fromkeys(("stop", *_WORK), "std_srvs/srv/Trigger"),
@@ -36,12 +36,12 @@ _SERVICES = {**dict.fromkeys(("stop", *_WORK), "std_srvs/srv/Trigger"),
              "set_parameters": "rcl_interfaces/srv/SetParameters"}
 _READINGS = ("power", "temperature", "range", "joint_states")
 _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
-# Anybody may make topics and services without end.
+# Limits, as anybody may create any number of topics and services.
 _MOST_TOPICS, _MOST_CLIENTS, _MOST_CHANNELS = 500, 200, 64
 
 
 class DashboardNode(ros.OverridableNode):
-    """Everything of one bench into a LiveState; `send_stop` and `send_zero` from any thread."""
+    """Collects all of one bench in a LiveState; `send_stop` and `send_zero`: from any thread."""
 
     def __init__(self, namespace: str, state: LiveState) -> None:
         super().__init__("dashboard", namespace=namespace)
@@ -59,7 +59,7 @@ class DashboardNode(ros.OverridableNode):
         self._look()
 
     def _ready(self, service: str) -> dict[str, Client]:
-        """Clients of the nodes that have a service now, by name."""
+        """Clients of the nodes that offer a service now, by node name."""
         return {node: client for (what, node), client in list(self._callable.items())
                 if what == service and client.service_is_ready()}
 
@@ -69,7 +69,7 @@ class DashboardNode(ros.OverridableNode):
         return {name: client.call_async(Trigger.Request()) for name, client in ready.items()}
 
     def send_zero(self) -> bool:
-        """Command 0 V to all channels; False where their number is not known."""
+        """Command 0 V to all channels; False if their number is unknown."""
         count = self._commanded or len(self._channels) or len(self.state.voltages())
         if count:
             channels = self._channels if len(self._channels) == count else ()
@@ -77,13 +77,13 @@ class DashboardNode(ros.OverridableNode):
         return bool(count)
 
     def start_work(self, kind: str, records: list[str]) -> None:
-        """Set a node's records and call it; its result comes over its topic. For a thread that may
-        wait. Raises InputError: no such node or records, or it refuses them."""
+        """Set a node's records and trigger its work; the result arrives on its topic. Blocks.
+        InputError: no such node, no records, or it refuses them."""
         if kind not in self._works():
             raise InputError(f"no node here does {kind}")
         if not records:
             raise InputError("no records given")
-        self._calls.set_parameters(_WORK[kind], {"record": records}, _PATIENCE)
+        self._calls.set_parameters(_WORK[kind], {"record": records}, _TIMEOUT)
 
         def worked(response: rclpy.Future) -> None:
             result = response.result()
@@ -95,7 +95,7 @@ class DashboardNode(ros.OverridableNode):
         client.call_async(Trigger.Request()).add_done_callback(worked)
 
     def _works(self) -> list[str]:
-        """Kinds of work whose node can be set and called."""
+        """Kinds of work whose node can be configured and triggered now."""
         settable = self._ready("set_parameters")
         return sorted(kind for kind, node in _WORK.items()
                       if node in settable and node in self._ready(kind))
@@ -118,12 +118,12 @@ class DashboardNode(ros.OverridableNode):
             if not service.startswith(self._inside) or kind not in types:
                 continue
             wanted = node in _WORK.values() or what in ("stop", "get_parameters")
-            # The recorder's stop ends the record, and drives nothing.
+            # The recorder's stop only ends the record.
             new = (what, node) not in self._callable and node not in (self.get_name(), _RECORDER)
             if wanted and new and len(self._callable) < _MOST_CLIENTS:
-                client = self._calls.know(f"{node}/{what}", ros.message_class(kind))
+                client = self._calls.client(f"{node}/{what}", ros.message_class(kind))
                 self._callable[what, node] = client
-        # Of which nodes nothing more will come: their last words stay latched here.
+        # Nodes that still exist: the last state of others stays latched here.
         there = [t for t in self._listened if t.endswith("/state") and self.count_publishers(t)]
         nodes = {t.removeprefix(self._inside).rpartition("/")[0] for t in there}
         for panel, names in (("elsewhere", elsewhere), ("stops", self._ready("stop")),
@@ -153,7 +153,7 @@ class DashboardNode(ros.OverridableNode):
     def _ask(self) -> None:
         ready = self._ready("get_parameters")
         for name, client in ready.items():
-            answer = client.call_async(GetParameters.Request(names=_ASKED))
+            answer = client.call_async(GetParameters.Request(names=_PARAMETERS))
             answer.add_done_callback(partial(self.on_answer, name))
         self._reported = {name: found for name, found in self._reported.items() if name in ready}
         known = self._reported.values()
@@ -203,7 +203,7 @@ class DashboardNode(ros.OverridableNode):
             self.state.show("recorded", shown(recorder["output"]))
 
     def on_progress(self, node: str, message: String) -> None:
-        with suppress(InputError):  # the page says that the last one is old
+        with suppress(InputError):  # the page shows the age of the last valid one
             progress = read_fields(message.data, _PROGRESS, f"{node}/progress")
             texts = {name: shown(progress[name]) for name in ("protocol", "step")}
             heard = self.state.clock()
@@ -217,16 +217,16 @@ class DashboardNode(ros.OverridableNode):
         for status in message.status:
             if status.name.startswith(self._inside):
                 level = dict(enumerate(_LEVELS)).get(status.level[0], "error")
-                said = {"level": level, "message": shown(status.message), "heard": heard}
-                own[shown(status.name.removeprefix(self._inside))] = said
+                item = {"level": level, "message": shown(status.message), "heard": heard}
+                own[shown(status.name.removeprefix(self._inside))] = item
         self.state.merge("diagnostics", own)
 
 
 @contextmanager
 def listening_node(namespace: str, state: LiveState, on_failure: Callable[[Exception], Any],
                    ros_arguments: Sequence[str] = ()) -> Iterator[DashboardNode]:
-    """A node that listens in a thread of its own; `on_failure` is called there if it dies. Raises
-    InputError: no such namespace can be, or ROS refuses its arguments."""
+    """A node that listens in its own thread; `on_failure` is called there if it fails. Raises
+    InputError: invalid namespace, or ROS refuses an argument."""
     ros.start_ros(ros_arguments)
     node, ended = DashboardNode(namespace, state), threading.Event()
 
@@ -236,7 +236,7 @@ def listening_node(namespace: str, state: LiveState, on_failure: Callable[[Excep
         try:
             while not ended.is_set():
                 executor.spin_once(timeout_sec=_SPIN)
-        except Exception as error:  # a page that goes on without it would show what was
+        except Exception as error:  # without this node the page would show old values
             on_failure(error)
         finally:
             executor.shutdown(timeout_sec=1.0)
@@ -253,7 +253,7 @@ def listening_node(namespace: str, state: LiveState, on_failure: Callable[[Excep
 
 
 def state_line(text: str) -> str:
-    """A node's state for people: that of the recorder is JSON."""
+    """A node's state as text; the recorder's is JSON."""
     if found := recorder_state(text):
         text = f"{found['state']}: {found['output']}, {sum(found['messages'].values())} messages"
     return shown(text)

@@ -1,9 +1,9 @@
-"""A process's ROS context, nodes whose QoS users can override, the topics, and who commands.
+"""A process's ROS context, nodes with QoS overrides, the bench's topics, the senders of commands.
 
-rclpy does not say that, so a commander signs what it sends: the label of the message's only
-dimension is the channels' names, `@`, the node's name and a number of its own; two nodes of one
-name, started by mistake, are two commanders. What is not signed, from `ros2 topic pub` or a script,
-is identified by the graph alone: it is taken while there is one such publisher."""
+rclpy does not tell who sent a message, so nodes sign their commands: the label of the message's
+only dimension is the channels' names, `@`, the node's name and a random number (two nodes of one
+name, started by mistake, are two senders). Unsigned commands, from `ros2 topic pub` or a script,
+are accepted while the graph has only one publisher of such commands."""
 
 import contextlib
 import copy
@@ -39,13 +39,12 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import choose_discovery
 
 OneThreadExecutor = EventsExecutor
-# The two kinds of topics. Readings and commands arrive: seconds of them, for a recorder that is
-# kept from running, and simulations faster than life. What is said once is there for latecomers.
+# Readings and commands: a queue of seconds, for a suspended recorder and for fast simulations.
 READINGS = QoSProfile(depth=2000)
+# States and results: a late subscriber gets the last one, too.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# Messages that wait for a listener to readings and commands; for one to the `newest`, and by it.
-_HEARD, _NEWEST = 50, 2
-_READ = 0.2  # s in which a peer on a busy machine reads what it has received
+_READINGS_DEPTH, _NEWEST_DEPTH = 50, 2  # queues: a subscription to READINGS; `newest` endpoints
+_LEAVING = 0.2  # s in which a peer on a busy machine reads what it has received
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
                                      QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
 
@@ -54,7 +53,7 @@ _NEAREST, _FARTHEST = 0.02, 0.3  # m, assumed of the composite rig's triangulati
 
 
 def start_ros(arguments: Sequence[str]) -> None:
-    """Begin this process's ROS context; signals stay ours. InputError: ROS refuses an argument."""
+    """Begin this process's ROS context without its signal handlers. InputError: bad argument."""
     choose_discovery()
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -64,10 +63,10 @@ def start_ros(arguments: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def end_of_ros() -> Iterator[None]:
-    """End this process's nodes inside, and then its ROS context: no other program keeps them. DDS's
-    participant ends with the last node. A peer whose rmw_fastrtps reads what was said of a node
-    after it has heard of that end takes the node up again, for ever. So one without any topic,
-    which `ros2 node list` hides, stays until peers have read that the others are gone."""
+    """Destroy this process's nodes in this context; then ROS is shut down so that no peer keeps
+    ghost nodes. The DDS participant ends with the last node, and a peer whose rmw_fastrtps reads
+    news of a node after that end adds the node again, for ever. So a hidden node without topics
+    stays until peers have read that the others are gone."""
     last = None
     if rclpy.ok():
         handle = rclpy.get_default_context().handle
@@ -77,16 +76,16 @@ def end_of_ros() -> Iterator[None]:
         yield
     finally:
         if last is not None:
-            time.sleep(_READ)
+            time.sleep(_LEAVING)
             last.destroy_when_not_in_use()
         rclpy.try_shutdown()
 
 
 class OverridableNode(Node):
-    """Node whose publishers and subscriptions take their QoS from parameters, where given:
-    `qos_overrides./<topic>.publisher.` or `.subscription.`; else as rclpy's."""
+    """Node whose publishers and subscriptions take their QoS from the parameters
+    `qos_overrides./<topic>.publisher.` or `.subscription.`, if given; otherwise as in rclpy."""
 
-    # ROS arguments of the only node of its kind in this process, over those that all share.
+    # ROS arguments of this node alone, which override those of the process.
     own_arguments: ClassVar[list[str]] = []
     _ros_is_ready = False
 
@@ -98,26 +97,26 @@ class OverridableNode(Node):
         self._ros_is_ready = True
 
     def create_publisher(self, *what: Any, newest: bool = False, **options: Any) -> Publisher:
-        """Of message type, topic, QoS; `newest`: what is late is worth less than the next."""
+        """Arguments: message type, topic, QoS; `newest`: short queue, no old messages."""
         return self._endpoint(super().create_publisher, what, newest, options)
 
     def create_subscription(self, *what: Any, newest: bool = False, **options: Any) -> Subscription:
-        """Of message type, topic, callback, QoS; READINGS also of best-effort publishers."""
+        """Arguments: message type, topic, callback, QoS; READINGS match best-effort publishers."""
         if what[-1] is READINGS:
-            heard = QoSProfile(depth=_HEARD, reliability=ReliabilityPolicy.BEST_EFFORT)
-            what = (*what[:-1], heard)
+            profile = QoSProfile(depth=_READINGS_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+            what = (*what[:-1], profile)
         return self._endpoint(super().create_subscription, what, newest, options)
 
     def _endpoint(self, create: Callable[..., Any], what: Any, newest: bool,
                   options: dict[str, Any]) -> Any:
-        """rclpy makes a node's own topics before its parameters can be declared: these it keeps."""
+        """Topics that rclpy creates itself come before parameters exist: no overrides for them."""
         if self._ros_is_ready:
             options.setdefault("qos_overriding_options", _OVERRIDABLE)
-        # rclpy writes what is overridden into the profile, which other topics share.
+        # rclpy writes overrides into the profile, which other topics share: copy it.
         *first, qos = what
         profile = copy.copy(qos) if isinstance(qos, QoSProfile) else QoSProfile(depth=qos)
         if newest:
-            profile.depth = _NEWEST
+            profile.depth = _NEWEST_DEPTH
         try:
             return create(*first, profile, **options)
         except (RuntimeError, AssertionError, ParameterException) as error:
@@ -127,8 +126,8 @@ class OverridableNode(Node):
 
 class BenchTopics:
     """Publishers of `<channel>/power`, `<place>/temperature`, `<side>/range` and `joint_states` (of
-    one joint) as far as they are asked for, behind `below`; stamps are ns of ROS time. Messages are
-    built once: at a multiple of real time that would cost more than the physics."""
+    one joint), as requested, with the prefix `below`; stamps are ns of ROS time. Messages are built
+    once: in fast simulations building them would cost more than the physics."""
 
     def __init__(self, node: Node, power: Sequence[str] = (), temperature: Sequence[str] = (),
                  ranges: Sequence[str] = (), joint: str = "", below: str = "") -> None:
@@ -142,7 +141,7 @@ class BenchTopics:
         for channel in power:
             message = BatteryState(location=channel, present=True)
             for field in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
-                setattr(message, field, NAN)  # what a wire has not
+                setattr(message, field, NAN)  # a wire has none of these
             publish(f"{channel}/power", message, channel)
         for place in temperature:
             publish(f"{place}/temperature", Temperature(), place)
@@ -157,18 +156,18 @@ class BenchTopics:
         self._send(f"{channel}/power", stamp, voltage=float(volt), current=float(ampere))
 
     def temperature(self, place: str, celsius: float, stamp: int, variance: float = 0.0) -> None:
-        """Send degC, and K^2 where that is known."""
+        """Send degC, and the variance (K^2; 0: unknown)."""
         found = {"temperature": float(celsius), "variance": float(variance)}
         self._send(f"{place}/temperature", stamp, **found)
 
     def range(self, side: str, distance: float, stamp: int) -> None:
-        """Send m, as REP-117 says where nothing is in reach."""
+        """Send m; infinite out of range (REP-117)."""
         below, beyond = distance < _NEAREST, not distance <= _FARTHEST
         found = -math.inf if below else math.inf if beyond else float(distance)
         self._send(f"{side}/range", stamp, range=found)
 
     def joint(self, stamp: int, position: float, effort: float | None = None) -> None:
-        """Send m, and N where the joint has a force."""
+        """Send m, and N if the joint has a force."""
         efforts = [] if effort is None else [float(effort)]
         self._send("joint_states", stamp, position=[float(position)], effort=efforts)
 
@@ -181,7 +180,7 @@ class BenchTopics:
 
 
 def message_class(kind: str) -> Any:
-    """Of a type's name, `std_msgs/msg/String`; a service's, too."""
+    """The class of a message or service type, such as `std_msgs/msg/String`."""
     package, room, name = kind.split("/")
     return getattr(importlib.import_module(f"{package}.{room}"), name)
 
@@ -197,36 +196,35 @@ def seconds_of(message: Any) -> float:
 
 
 def recorded_topics(node: Node) -> dict[str, str]:
-    """Topics that belong into a bag of the node's namespace and have a publisher; their types."""
+    """Topics to record in the node's namespace that have a publisher; their types."""
     inside = node.get_namespace().rstrip("/") + "/"
     return {topic: kind for topic, types in node.get_topic_names_and_types()
             if (kind := recorded_type(topic, inside)) in types and node.count_publishers(topic)}
 
 
-# Who a voltage command is from.
+# The sender of a voltage command.
 _SIGNED = " @"
-_LONGEST_NAME, _MOST_SENDERS = 300, 300  # anybody may send and sign as anything
+_LONGEST_NAME, _MOST_SENDERS = 300, 300  # limits, as anybody may send and sign as anything
 _LOOK_EVERY = 0.5  # s
-NOT_YET_KNOWN = "_NODE_NAME_UNKNOWN_"  # as rmw calls a node of which it has only an endpoint
-# Nodes of this package sign, whether or not they have sent anything yet.
-_SIGNING = frozenset({*NODE_TABLES, "dashboard"})
+NOT_YET_KNOWN = "_NODE_NAME_UNKNOWN_"  # rmw's name of a node of which it knows only an endpoint
+_SIGNING = frozenset({*NODE_TABLES, "dashboard"})  # nodes of this package sign
 
 
 def signature(node: Node) -> str:
-    """What a node signs its commands with."""
+    """A node's signature for its commands: its name and a random number."""
     return f"{node.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}"
 
 
 def voltage_command(channels: Sequence[str], volts: Sequence[float],
                     signed: str = "") -> Float64MultiArray:
-    """V of every channel; the label has the channels' names, or none, and who sends it."""
+    """Message with V of every channel; its label: the channels' names, or none, and the sender."""
     label = " ".join(channels) + (f"{_SIGNED}{signed}" if signed else "")
     dim = MultiArrayDimension(label=label, size=len(volts), stride=len(volts))
     return Float64MultiArray(layout=MultiArrayLayout(dim=[dim]), data=volts)
 
 
 def layout_fault(message: Float64MultiArray, channels: Sequence[str]) -> str:
-    """Why a command's layout, where it has one, is not that of these channels, or ""."""
+    """Why a command's layout, if it has one, does not match these channels, or ""."""
     layout, names = message.layout, " ".join(channels)
     if layout.data_offset or len(layout.dim) > 1:
         return "voltage_command has another layout, expected one dimension, no offset"
@@ -248,7 +246,7 @@ class Commanders:
         self._looked = -_LOOK_EVERY
 
     def judge(self, message: Float64MultiArray, channels: Sequence[str]) -> tuple[str, str]:
-        """The sender of a command, and why it must be refused whoever drives, or ""."""
+        """The sender of a command ("": unsigned), and why it must be refused in any case, or ""."""
         fault = layout_fault(message, channels)
         if signed := "".join(dim.label.partition(_SIGNED)[2] for dim in message.layout.dim[:1]):
             sender = shown(signed, _LONGEST_NAME)
@@ -256,7 +254,7 @@ class Commanders:
                 self._signed.add(sender.partition("#")[0])
             return sender, fault
         if (now := time.monotonic()) >= self._looked + _LOOK_EVERY:
-            # Nodes with a publisher of commands that do not sign, one name a publisher.
+            # Nodes with a publisher of commands that do not sign; one name per publisher.
             self._looked = now
             names = (f"{info.node_namespace.rstrip('/')}/{info.node_name}"
                      for info in self._node.get_publishers_info_by_topic(self._topic)
@@ -264,5 +262,5 @@ class Commanders:
             self._unsigned = sorted(name for name in names if name not in self._signed)
         if not fault and len(self._unsigned) > 1 and any(message.data):
             senders = ", ".join(self._unsigned)
-            fault = f"commands without a name, and several nodes may send them: {senders}"
+            fault = f"unsigned command, and several nodes may have sent it: {senders}"
         return "", fault

@@ -1,10 +1,10 @@
-"""Nodes as processes of a script, and who may reach them: programs of this machine alone, unless
-the user opens them. No ROS.
+"""Nodes as processes of a script, and who may reach them: only programs of this machine, unless
+the user opens them to the network. No ROS.
 
-Without SROS 2, whoever reaches a bench may heat its wires. ROS's own default is the whole subnet,
-and its range LOCALHOST only keeps a node from looking: whoever names the machine as a peer still
-gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1, and the range leaves all to
-it: LOCALHOST would add sockets that are not bound, and shared memory."""
+Without SROS 2, anybody who reaches a bench may heat its wires. ROS's default is the whole subnet,
+and the range LOCALHOST only stops a node from searching: a host that names this machine as a peer
+still gets in. So a Fast DDS profile binds the sockets to 127.0.0.1, and the range is set to
+SYSTEM_DEFAULT, as LOCALHOST would add sockets that are not bound, and shared memory."""
 
 import contextlib
 import json
@@ -22,34 +22,34 @@ from sma_bench.lifeline import tied_to_this_process
 
 RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 THIS_MACHINE, NETWORK, BY_PROFILE = "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"
-_PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")  # another name of it, in later releases
-# Opened, a node does without shared memory too: the profile says why.
+_PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")  # its name in later releases
+# Also on the network nodes use no shared memory; the profile says why.
 TRANSPORTS, _SOCKETS = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
-# Else Fast DDS reads a profile from the folder of the start too, which may hold foreign records.
+# Without it Fast DDS also reads a profile from the working directory, which may not be trusted.
 _NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
 _ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, TRANSPORTS, *_PROFILES)
-_PATIENCE_AT_THE_END = 8.0  # s that a node may take to end, at each of three signals
+_END_TIMEOUT = 8.0  # s for a node to end, after each of three signals
 _PRIVATE_DOMAINS = range(120, 220)
 
 
 def discovery_variables(network: bool,
                         environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """Variables to set for a node: open to the network, else what the user has set, else local."""
+    """Variables for a node: open to the network, else as the user has set them, else local."""
     def is_set(*names: str) -> bool:
         return any(environment.get(name) for name in names)
 
     sockets = {} if is_set(TRANSPORTS) else {TRANSPORTS: _SOCKETS}
     if network:
         return {RANGE: NETWORK} | sockets
-    bound = environment.get(PROFILE) == _own_profile()  # by a parent
-    # Whether the user's own variables ask for the network; ROS heeds them in this order.
+    bound = environment.get(PROFILE) == _own_profile()  # by a parent process
+    # Do the user's own variables ask for the network? ROS reads them in this order.
     only, chosen = environment.get(_ONLY), environment.get(RANGE)
     asked = is_set(_SERVER) or (chosen in (NETWORK, BY_PROFILE) if chosen else bool(only))
     if asked and only != "1" and not bound:
         return sockets
-    if is_set(*_PROFILES) and not bound:  # which may bind nothing
+    if is_set(*_PROFILES) and not bound:  # the user's profile may not bind any socket
         return {} if is_set(RANGE, _ONLY) else {RANGE: THIS_MACHINE}
     variables = dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
     if chosen != "OFF":
@@ -59,7 +59,7 @@ def discovery_variables(network: bool,
 
 def choose_discovery(network: bool = False,
                      environment: MutableMapping[str, str] = os.environ) -> None:
-    """Set them for this process, before ROS starts in it; what has no effect is said."""
+    """Set them for this process before ROS starts; prints which variables have no effect."""
     variables = discovery_variables(network, environment)
     if PROFILE in variables:
         middleware = environment.get(_MIDDLEWARE, "")
@@ -76,7 +76,7 @@ def choose_discovery(network: bool = False,
 
 
 def private_ros_environment() -> None:
-    """Keep this process and its nodes away from any other bench: own domain, this machine only."""
+    """Isolate this process and its nodes from other benches: own domain, this machine only."""
     for name in USERS_VARIABLES:
         os.environ.pop(name, None)
     choose_discovery()
@@ -89,12 +89,12 @@ def _own_profile() -> str:
 
 def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
     """ROS arguments that set parameters."""
-    given = [f"{key}:={json.dumps(value)}" for key, value in parameters.items()]  # YAML's, too
+    given = [f"{key}:={json.dumps(value)}" for key, value in parameters.items()]  # valid YAML
     return [word for value in given for word in ("-p", value)]
 
 
 class NodeProcesses(contextlib.AbstractContextManager["NodeProcesses"]):
-    """Nodes of this package in one namespace, which end with the context, or with this process."""
+    """Nodes of this package in one namespace; they end with the context or with this process."""
 
     def __init__(self, namespace: str, logs: Path) -> None:
         self._namespace, self._logs = namespace, logs
@@ -117,11 +117,11 @@ class NodeProcesses(contextlib.AbstractContextManager["NodeProcesses"]):
                 env=tied_to_this_process())
 
     def check(self) -> None:
-        """Raise InputError when a node has ended by itself; the line quotes its last words."""
+        """InputError when a node has ended by itself, with the last line of its log."""
         for name, process in self._running.items():
             if process.poll() is not None:
-                said = (self._logs / f"{name}.log").read_text(errors="replace").split("\n")
-                last = next((line for line in reversed(said) if line.strip()), "without a word")
+                log = (self._logs / f"{name}.log").read_text(errors="replace").split("\n")
+                last = next((line for line in reversed(log) if line.strip()), "no output")
                 words = last.partition("]: ")[2] if last.startswith("[") else last
                 raise InputError(f"node {name} ended: {words}")
 
@@ -129,10 +129,10 @@ class NodeProcesses(contextlib.AbstractContextManager["NodeProcesses"]):
         return self._running[name].pid
 
     def end(self, name: str) -> None:
-        """End a node as Ctrl-C would; insist after a while."""
+        """End a node by SIGINT, then SIGTERM, then SIGKILL."""
         process = self._running.pop(name)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             if process.poll() is None:
                 process.send_signal(number)
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(_PATIENCE_AT_THE_END)
+                    process.wait(_END_TIMEOUT)

@@ -100,7 +100,7 @@ def stopped(bench, before=True, after=True, patience=0.6):
     if before:
         bench.read()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(server, "_PATIENCE", patience)
+        patch.setattr(server, "_STOP_TIMEOUT", patience)
         with bench.readings() if after else nullcontext():
             return asyncio.run(stop(bench))
 

@@ -197,7 +197,7 @@ def test_a_silent_bench_is_not_shown_as_live_and_a_lost_one_is_red_and_leaves_no
         assert "°C" not in shown.text("#meters") and " V" not in shown.text(".legend")
         assert shown.text("#protocol-text") == "unknown: connection lost"
         assert shown.page.evaluate("document.getElementById('stop-result').className") == "old"
-        assert shown.text("#stop-result").startswith("Of before the connection was lost:")
+        assert shown.text("#stop-result").startswith("From before the connection was lost:")
         states = "[...document.querySelectorAll('#node-rows td:last-child')].map(e => e.innerText)"
         assert set(shown.page.evaluate(states)) == {"unknown"}
         shown.page.keyboard.press("Escape")

@@ -1,4 +1,4 @@
-"""The firmware's logic compiled for this computer: tests, fuzzer, and a device without a chip."""
+"""The firmware's logic compiled for this computer: tests, fuzzer, and a simulated device."""
 
 import ctypes
 import subprocess
@@ -28,7 +28,7 @@ def build_host_firmware(folder):
 
 
 class HostFirmware:
-    """A device that speaks as the Uno does; its clock has a resolution of 1 ms."""
+    """A device with the Uno's protocol; its clock has a resolution of 1 ms."""
 
     def __init__(self, library):
         self._library = ctypes.CDLL(str(library))
@@ -40,7 +40,7 @@ class HostFirmware:
         self._library.fake_start(1)
 
     def cut_power(self):
-        """It fails and comes back at once."""
+        """The power fails and returns at once."""
         self._library.fake_cut_power(0)
 
     def run(self, seconds):

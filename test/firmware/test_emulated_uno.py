@@ -1,4 +1,4 @@
-"""The real image on an emulated ATmega328P, in virtual time: what it does at its pins, and when."""
+"""The real image on an emulated ATmega328P, in virtual time: its messages, pins and timing."""
 
 import math
 import random
@@ -27,8 +27,8 @@ TIMSK0, TIMSK1 = 0x6E, 0x6F
 
 
 def applied(host, seconds, *millivolts):
-    """V at the first wire, root mean square over a hold; and what is read meanwhile: its volts and
-    amperes, the supply's volts, (n,) each."""
+    """V (rms over a hold) at the first wire; and the readings during it: V and A of the wire, V of
+    the supply, (n,) each."""
     electrics, first = host.uno.electrics, len(host.telemetry)
     before, start = electrics.square_time[0], host.uno.time
     host.hold(seconds, *millivolts)
@@ -50,7 +50,7 @@ def state(host):
     return host.telemetry[-1].state
 
 
-# --- what it says
+# --- messages
 
 
 def test_power_up_greets_and_text_telemetry_comes_at_exactly_100_hz(host):
@@ -69,12 +69,12 @@ def test_power_up_greets_and_text_telemetry_comes_at_exactly_100_hz(host):
 
 
 def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host):
-    """And its interrupts are never off for as long as two bytes take."""
+    """Interrupts are never off for as long as two bytes take."""
     host.arm()
     host.drive(1000, 1000, 1000, 1000)
     host.say("B", 500)
     host.splitter.expect(binary=True)
-    # Frames that came before it knew look like damaged lines.
+    # Frames from before the host expected binary look like damaged lines.
     start, damaged = len(host.telemetry), host.splitter.damaged
     host.hold(0.8, 2000, 3000, 4000, 5000)
     host.hold(0.2, 9000, 9000, 9000, 9000)
@@ -84,13 +84,13 @@ def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host):
     assert host.splitter.damaged == damaged
     counters = host.named("S", "S")
     assert counters["dropped"] == counters["lost"] == counters["overruns"] == "0"
-    # A quarter of the memory is untouched after the most that it has to do at a time.
+    # A quarter of the memory stays unused under the highest load.
     assert int(counters["stack"]) > 512
     assert host.uno.electrics.longest_blocked < 2 * BYTE
 
 
 def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(host):
-    """What it had to say in 0.24 s: it, or its cable, was kept waiting."""
+    """The bytes of 0.24 s arrive at once, because the host or its cable was delayed."""
     host.arm()
     host.say("B", 500)
     host.splitter.expect(binary=True)
@@ -103,7 +103,7 @@ def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(host):
     assert host.telemetry[-1].echo == 12
 
 
-# --- what it does
+# --- outputs and readings
 
 
 def test_wires_get_the_commanded_voltage_as_heat(host):
@@ -163,7 +163,7 @@ def test_the_usb_voltage_and_the_source_change_no_resistance(host):
     host.arm()
     host.hold(1.0, 5000, 0, 0, 0)
     volts, voltage, current, supply = applied(host, 2.0, 5000, 0, 0, 0)
-    # A converter that follows the pulses' beat is off by 1 %, means that round down by 0.06 %.
+    # Sampling in step with the pulses would be off by 1 %, rounding means down by 0.06 %.
     told = statistics.fmean(voltage)
     assert told / statistics.fmean(current) == pytest.approx(2.9, rel=0.002)
     assert told == pytest.approx(volts, rel=4e-4)
@@ -184,7 +184,7 @@ def test_what_a_weak_supply_could_not_carry_is_forgotten_when_armed_anew(host):
     assert state(host) == DeviceState.ARMED and told[-1] == pytest.approx(5.0, rel=0.01)
 
 
-# --- how it stops
+# --- stops
 
 
 def test_nothing_is_driven_before_the_first_command_nor_by_garbage(host):
@@ -203,14 +203,14 @@ def test_nothing_is_driven_before_the_first_command_nor_by_garbage(host):
 @pytest.mark.parametrize("flood", [0, 128], ids=["alone", "inside a flood of garbage"])
 def test_stop_byte_switches_off_within_a_tenth_of_a_millisecond(driving, flood):
     driving.uno.write(bytes(range(128, 128 + flood)) + b"!" + bytes(range(128, 128 + flood)))
-    # Garbage is slow here: simavr takes 45 us for a byte when they come without a pause.
+    # simavr takes 45 us for each byte of garbage that arrives without a pause.
     driving.run(1e-4 + flood * 2.2 * BYTE)
     assert driving.outputs_stay_off(0.01)
     assert last_cause(driving) == "stop byte"
 
 
 def test_silence_a_lost_supply_and_too_much_heat_stop(driving):
-    """And the cause outlives a reset, but not a second one."""
+    """The cause survives a reset, but not a second one."""
     electrics = driving.uno.electrics
     driving.drive(6000, 0, 0, 3000)
     assert 0.199 < driving.time_until_off(limit=0.3) < 0.205
@@ -220,7 +220,7 @@ def test_silence_a_lost_supply_and_too_much_heat_stop(driving):
         driving.run(0.2)
         assert CAUSES[int(driving.named("?", "H")["before"])] == cause
     driving.arm((10000, 6500, 12000, 1890, 7000, 200))
-    # Volts stay when the supply sags.
+    # The wire's voltage stays when the supply sags.
     electrics.supply = 10.0
     driving.hold(0.2, 6000, 0, 0, 0)
     assert applied(driving, 0.3, 6000, 0, 0, 0)[0] == pytest.approx(6.0, rel=0.01)
@@ -259,14 +259,14 @@ def test_short_circuit_is_off_at_any_voltage_though_the_sensor_clips(host, milli
     [
         (2000, 1.2, 25.0, True), (2500, 1.4, 25.0, True), (3500, 1.6, 25.0, True),
         (2000, 0.05, 11.0, True), (2500, 0.05, 7.0, True),
-        # What it cannot tell from a wire, as docs/safety.md says.
+        # Shorts that it cannot distinguish from a wire (docs/safety.md).
         (9000, 1.9, 25.0, False), (3000, 0.05, 6.0, False),
     ],
 )  # fmt: skip
 def test_the_device_alone_finds_half_shorts_and_shorts_behind_a_sensor_that_clips(
     host, millivolts, resistance, clipping, found
 ):
-    """No host has told it what its wires are (command C)."""
+    """No host has set the limits of its wires (command C)."""
     electrics = host.uno.electrics
     electrics.supply_resistance, electrics.offset[0], electrics.clipping = 0.05, 0.03, clipping
     host.arm()
@@ -317,7 +317,7 @@ def test_behind_a_welded_relay_it_says_that_current_still_flows(host):
 BREAKS = {
     "outputs": (lambda uno: uno.poke(TIMSK0, 0), 0.075, "output interrupt lost"),
     "clock": (lambda uno: uno.poke(TIMSK1, 0), 0.075, ""),
-    # By its own count of the loop where interrupts still come, else by the watchdog.
+    # By its own count of the loop if interrupts still work, otherwise by the watchdog.
     "hung": (lambda uno: uno.hang(interrupts=True), 0.033, ""),
     "dead": (lambda uno: uno.hang(interrupts=False), 0.075, ""),
 }
@@ -364,7 +364,7 @@ def test_the_last_reason_outlasts_the_power_and_so_does_its_acknowledgement(driv
 
 
 def test_storing_a_reason_delays_nothing_that_is_done_meanwhile(driving):
-    """The slowest bytes at 500 Hz, while it is armed anew and driven."""
+    """The slowest EEPROM bytes at 500 Hz, while it is armed again and driven."""
     driving.say("B", 500)
     driving.splitter.expect(binary=True)
     driving.uno.write(b"!")

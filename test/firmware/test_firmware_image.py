@@ -1,5 +1,5 @@
-"""The firmware: its logic on this computer, its image and budgets, the pins that the pages say; and
-the checks of the emulated bench that are scripts."""
+"""The firmware: its logic on this computer, its image and budgets, the documented pins; and the
+checks of the emulated bench that are scripts."""
 
 import re
 import subprocess
@@ -43,7 +43,7 @@ def test_hostile_bytes_neither_crash_nor_drive_and_fuzzing_tells_a_part_that_fai
     fuzzer = build_program("fuzz.c", tmp_path)
     (executed, drove_on, stopped), problem = fuzz.fuzzed(fuzzer, 60000, 1)
     assert (executed, problem) == (60000, "")
-    # The armed inputs reach both ends, or the fuzzer proves nothing.
+    # The armed inputs must reach both outcomes, or the fuzzer proves nothing.
     assert drove_on > 1000 and stopped > 1000
     program = tmp_path / "program"
     program.write_text("#!/bin/sh\necho 'input 7: driven in silence' >&2; exit 134\n")
@@ -102,7 +102,7 @@ def test_arduino_ide_flags_build_it_too_of_every_source_of_the_makefile(firmware
 
 ANALOG = {"FRONT_CURRENT": "front current", "BACK_CURRENT": "back current", "SUPPLY": "supply",
           "FRONT_RANGE": "front range", "BACK_RANGE": "back range"}  # fmt: skip
-# Arduino's names of the port pins that an Uno brings out.
+# Arduino's names of the port pins on an Uno's headers.
 DIGITAL = {"PD6": "D6", "PD5": "D5", "PB3": "D11", "PD3": "D3", "PD4": "D4"}
 
 
@@ -112,7 +112,7 @@ def test_pins_outputs_and_limits_are_those_of_the_firmware():
         for name in ("docs/hardware.md", "docs/hardware.svg", "test/tools/uno/uno.c",
                      "firmware/pwm.c", "firmware/sampling.c", "firmware/config.h")
     )
-    # From the comments at the output masks, whose pins the emulated runs prove, and the inputs.
+    # From the comments at the output masks (the emulated runs check these pins) and at the inputs.
     coded = {}
     for mask, comment in re.findall(r"#define \w+_PINS (.+?)/\* (.+?) \*/", pwm):
         ports = re.findall(r"_BV\((P\w\d)\)", mask)

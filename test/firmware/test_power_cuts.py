@@ -1,4 +1,4 @@
-"""A small `./bench check power_cuts`: the real image, the power gone at random instants."""
+"""A small `./bench check power_cuts`: the real image, with power cuts at random instants."""
 
 import random
 from collections import Counter

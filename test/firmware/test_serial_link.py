@@ -20,7 +20,7 @@ VOLTS = (6000, 0, 0, 3000)
 
 
 class Watched(serial_link.SerialLink):
-    """A link that remembers what it told; what it reads next becomes what `change` makes of it."""
+    """A link that remembers its readings and events; `change` alters the next bytes it reads."""
 
     greeting_timeout, first_back_off, longest_back_off = 0.3, 0.05, 0.2
 
@@ -75,8 +75,8 @@ def link(bench):
 
 
 def drive(link, bench):
-    """Command volts until the wires have them, as a node with a timer would; armed again where a
-    busy machine was silent for as long as the device's own timeout."""
+    """Command voltages until the wires have them, like a node with a timer; arms again if a busy
+    machine was silent for as long as the device's timeout."""
 
     def step():
         try:
@@ -203,10 +203,10 @@ def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(mon
 
 def test_restart_of_the_device_is_noticed_and_disarms(bench, link):
     def restart_unseen():
-        # Behind the back of a host that stood still: clock and count are where they would be.
+        # While the host was suspended: clock and sequence match what they would have been.
         uptime = 1e-6 * link.readings[-1].time_us
         bench.device.restart()
-        # Nobody reads meanwhile: what it sends waits in the cable.
+        # Nobody reads meanwhile: what it sends stays in the buffer.
         bench.device.run(uptime)
 
     for restarts, restart in enumerate((bench.device.restart, restart_unseen), start=1):
@@ -221,7 +221,7 @@ def test_restart_of_the_device_is_noticed_and_disarms(bench, link):
 
 
 class OldFirmware:
-    """A device that keeps no reason, and says nothing of one."""
+    """A device whose firmware stores no reason and reports none."""
 
     def __init__(self, device):
         self._device, self._pending = device, b""
@@ -235,7 +235,7 @@ class OldFirmware:
 
 def test_the_reason_of_a_stop_is_told_after_the_power_came_back_until_it_is_acknowledged(
         bench, link):
-    """Of a firmware that keeps none, nothing is expected."""
+    """From a firmware that stores none, nothing is expected."""
 
     def cut_power():
         connections, frames = link.status.connections, link.status.telemetry
@@ -295,7 +295,7 @@ def failure(data):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (unknown_state, "the device is in state 7, which nobody knows here"),
+        (unknown_state, "device state 7, expected 0 to 3"),
         (failure, "ZeroDivisionError: nobody thought of this"),
     ],
 )
@@ -308,17 +308,17 @@ def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
         assert bench.device.duties == (0.0,) * 4
         if link.status.cause_text == "stop byte":
             break
-        # A busy machine may stand still for the device's own timeout first.
+        # On a busy machine the device's own timeout may come first.
         assert link.status.cause_text == "command timeout"
     assert link.status.cause_text == "stop byte"
     assert f"not connected: {said}" in link.events
 
 
 def test_frames_from_before_an_answer_are_no_news_after_it(link):
-    """On a busy machine they come in one reading."""
+    """On a busy machine one read returns both."""
     wait_for(lambda: link.readings)
-    # Whoever asked goes on while a frame is looked at; less than from one frame to the next, or an
-    # answer would come later with every frame.
+    # Lets the caller continue while a frame is processed; shorter than the period of frames, or
+    # answers would be later with every frame.
     link._on_reading = lambda frame: time.sleep(0.005 * (frame.state == DeviceState.STOPPED))
     for _ in range(3):
         link.arm()
@@ -334,15 +334,15 @@ def test_frames_from_before_an_answer_are_no_news_after_it(link):
 
 
 def test_an_answer_that_is_late_is_no_other_hosts(link, monkeypatch):
-    say = link._say
+    send = link._send_command
 
-    def say_and_hear_late(letter, *numbers):
+    def late(letter, *numbers):
         if letter == "A":
             link.change = lambda data: (time.sleep(0.7), data)[1]
             wait_for(lambda: link.change is None)
-        return say(letter, *numbers)
+        return send(letter, *numbers)
 
-    monkeypatch.setattr(link, "_say", say_and_hear_late)
+    monkeypatch.setattr(link, "_send_command", late)
     with pytest.raises(serial_link.LateAnswer, match="no answer to A"):
         link.arm()
     monkeypatch.undo()
@@ -354,7 +354,7 @@ def test_an_answer_that_is_late_is_no_other_hosts(link, monkeypatch):
 
 
 def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(link):
-    """It finds nothing to read, and its clock beyond the limit of silence, as after SIGSTOP."""
+    """Its clock jumps beyond the limit of silence without anything to read, as after SIGSTOP."""
 
     def stopped(data):
         time.sleep(1.2 * serial_link.SILENCE_LIMIT)

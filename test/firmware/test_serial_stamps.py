@@ -15,10 +15,10 @@ PATIENCE = 60.0
 
 
 class Drive:
-    """A driver of a link on an Uno in virtual time: a command each `every` frames of 10 ms.
+    """A driver of a link on an Uno in virtual time: a command every `every` frames of 10 ms.
 
-    It acts in the link's own thread, so that no computer is too slow for it. Of each command's
-    first sending, but for the first one's, the byte at `lost` is lost.
+    It acts in the link's own thread, so that no computer is too slow for it. When a command (except
+    the first) is sent for the first time, its byte at `lost` is lost.
     """
 
     def __init__(self, uno, every, lost=None):
@@ -58,7 +58,7 @@ def driving(uno, every, lost=None):
     drive.link.start()
     try:
         drive.until(lambda: drive.link.status.telemetry > 30)
-        # Virtual time goes on while a busy machine keeps this thread from hearing that it is armed.
+        # On a busy machine virtual time runs on before this thread learns that the device is armed.
         for _ in range(100):
             drive.frames.clear()
             drive.commands = 0
@@ -76,7 +76,7 @@ def driving(uno, every, lost=None):
 
 @pytest.mark.parametrize("lost", [0, 1, 9, -6, -2, -1])
 def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(uno, lost):
-    """A driver that is so slow that its own next command would come too late."""
+    """The driver is so slow that its own next command would come too late."""
     with driving(uno, 12, lost) as drive:
         status = drive.link.status
         assert status.refused >= drive.commands - 2

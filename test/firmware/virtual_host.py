@@ -1,4 +1,4 @@
-"""A host, and a serial port, in virtual time: no threads, no waiting, every run the same."""
+"""A host and a serial port in virtual time: without threads or waiting, reproducible."""
 
 from sma_bench.hardware import serial_messages
 from sma_bench.hardware.serial_messages import Accepted, Named, Refused, Telemetry, command, line
@@ -59,8 +59,7 @@ class VirtualHost:
             self.run(0.05)
 
     def time_until_off(self, limit):
-        """s, by a millisecond, until the last moment within `limit` s at which an output is high.
-        """
+        """Time (s, to 1 ms) of the last moment within `limit` s at which an output is high."""
         start = last_on = self.uno.time
         while self.uno.time - start < limit:
             if not self.outputs_stay_off(SLICE):
@@ -78,7 +77,7 @@ class VirtualHost:
 
 
 class VirtualPort:
-    """Waiting for bytes is what lets the emulated Uno's time pass, a USB frame at a time."""
+    """While it waits for bytes the emulated Uno's time passes, one USB frame at a time."""
 
     def __init__(self, uno, drift=0.0):
         self._uno, self._rate = uno, 1.0 + drift

@@ -1,4 +1,4 @@
-"""Who may drive the bench, and what stops it: the driver on a link that obeys the test."""
+"""The bench driver (enabling, commands, stops) on a fake link controlled by the test."""
 
 from collections import Counter
 from dataclasses import replace
@@ -20,18 +20,18 @@ SUPPLY, RESISTANCE = 12.0, 2.6987
 
 
 class FakeLink:
-    """Does as it is told and remembers it."""
+    """A fake link: obeys and remembers its calls."""
 
     def __init__(self):
         self.status = LinkStatus(connected=True, device=DEVICE, connections=1)
         self.sent, self.limits, self.armings = [], [], 0
         self.armed = self.deaf = self.stuck = False
-        # Answers that are late, by the command's letter; s by which frames are.
+        # Number of late answers by the command's letter; delay of frames in s.
         self.late, self.lag, self.device_time, self.leaks = Counter(), 0.0, 0.0, 0.0
         self.pass_time(0.0)
 
     def pass_time(self, seconds):
-        """Frames of what the device has measured by then come in."""
+        """Frames with the device's measurements so far arrive."""
         self.device_time += seconds
         if not self.lag:
             self.status.newest = telemetry(self.device_time, self.leaks if self.armed else 0.0)
@@ -75,13 +75,13 @@ class FakeLink:
 
 
 def telemetry(time, mean=0.0, duty=0.0):
-    """A frame of a device that is driven with this duty."""
+    """A frame of a device driven with this duty."""
     return Telemetry(0, round(1e6 * time), 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5),
                      (duty, 0.0, 0.0, 0.0), 0, time=time)  # fmt: skip
 
 
 class Bench:
-    """A driver of one wire; `pass_time` lets readings come that agree with the last command."""
+    """A driver of one wire; during `pass_time` readings arrive that agree with the last command."""
 
     def __init__(self, waiver="", enabled=False, seconds=0.1, **contract):
         self.link, self.now = FakeLink(), 100.0
@@ -149,7 +149,7 @@ def test_nothing_is_driven_before_somebody_enables(bench):
 
 
 def test_what_a_sensor_says_of_nothing_is_no_current_of_a_wire_that_gets_little():
-    """At 1.2 V, a hundredth of the time on, 0.08 A of a board look like 0.8 A of its wire."""
+    """At 1.2 V (a duty of 0.01) an offset of 0.08 A of the board looks like 0.8 A in its wire."""
     bench = Bench()
     assert bench.pass_time(1.0, leak=0.08) == ""
     bench.driver.enable(bench.now)
@@ -157,7 +157,7 @@ def test_what_a_sensor_says_of_nothing_is_no_current_of_a_wire_that_gets_little(
     assert bench.pass_time(0.1, command=0.4, leak=0.08) == ""
     reason = bench.pass_time(1.2, command=3.0, leak=0.08, ampere=0.0)
     assert reason.startswith("disagreement: wire carries 0.00 A at 3.00 V")
-    # What comes while it is enabled is not forgotten.
+    # Readings while enabled do not change the zero.
     bench = Bench(enabled=True, seconds=1.0)
     assert bench.pass_time(2.0, command=0.0, leak=0.08) == ""
     assert "disagreement: wire carries" in bench.pass_time(2.0, command=1.2, leak=0.08)
@@ -232,7 +232,7 @@ def test_too_much_power_and_too_many_volts_stop_and_without_feedback_nothing_beg
 
 
 def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(bench):
-    """A driven bench is not tested; a stop that fails and a stuck switch are found."""
+    """The self-test refuses a driven bench, and finds a stop that fails and a stuck switch."""
     assert bench.driver.tested == "due"
     found = bench.driver.self_test()
     checks = ["connection", "link", "clock", "supply", "currents", "relay", "stop"]
@@ -281,7 +281,7 @@ def test_what_is_wrong_is_not_asked_again_and_without_a_device_nothing_is(bench)
 
 
 def test_frames_that_are_late_are_not_taken_for_those_of_a_closed_relay(bench):
-    """Of before it closed they show no current, and no stop."""
+    """Frames from before the relay closed show no current and no stop: they prove nothing."""
     bench.link.leaks, bench.link.lag = 0.5, 0.4
     bench.refuses("relay: FAILED, closed, nothing driven: at most 0.50 A")
     bench.link.leaks, bench.link.lag, begun = 0.0, 100.0, bench.link.device_time

@@ -1,4 +1,4 @@
-"""Sensors against known loads, and what becomes of their readings."""
+"""Calibration of sensors from known loads, and calibrated readings."""
 
 import math
 

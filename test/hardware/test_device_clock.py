@@ -11,7 +11,7 @@ WRAP, STEP = 1 << 32, 1e-4
 
 
 def synchronised(drift, seconds, latency=1e-3, start_us=0):
-    """After pings at 12 Hz: each way takes 0.2 ms and more, the device 1 to 3 ms in between."""
+    """A clock after pings at 12 Hz: each way takes at least 0.2 ms, the device 1 to 3 ms."""
     random, clock = np.random.default_rng(1), DeviceClock()
 
     def stamp(host):
@@ -64,7 +64,7 @@ def test_a_host_that_slept_for_two_seconds_finds_its_stamps_right():
 
 
 def stalled(random, host, a_second):
-    """When nothing runs: stalls of heavy-tailed length, 1 ms to 0.3 s, half of them above 2 ms."""
+    """Mask of `host` times that lie in stalls: heavy-tailed, 1 ms to 0.3 s, half above 2 ms."""
     still = np.zeros(len(host), dtype=bool)
     for begin in random.uniform(0.0, host[-1], round(a_second * host[-1])):
         length = min(1e-3 * (1.0 - random.uniform()) ** (-1.0 / 0.9), 0.3)
@@ -73,8 +73,9 @@ def stalled(random, host, a_second):
 
 
 def listened(seed, stumbling, drift, rate, seconds=10.0):
-    """Errors in s of the stamps of all frames after 5 s. The host neither writes nor reads during
-    its stalls; a `stumbling` device catches up at three times the speed, as an emulator does."""
+    """Errors (s) of the stamps of all frames after 5 s. The host neither writes nor reads while it
+    stalls; a `stumbling` device stalls, too, and catches up at three times the speed, like an
+    emulator."""
     random = np.random.default_rng(seed)
     host = np.arange(0.0, seconds + 3.0, STEP)
     awake = host[~stalled(random, host, 20.0)]
@@ -89,7 +90,7 @@ def listened(seed, stumbling, drift, rate, seconds=10.0):
     def stamps(time):
         return np.rint(time * (1.0 - drift) * 1e6).astype(int).tolist()
 
-    # When each ping and each frame is sent, gets there, and is heard.
+    # When each ping and each frame is sent, arrives, and is read.
     frames, sent = np.arange(1.0 / rate, seconds, 1.0 / rate), np.arange(0.3, seconds, 0.0837)
     arrived = np.interp(when_awake(sent) + 3e-4, host, host - lag)
     left = arrived + random.uniform(1e-3, 3e-3, len(sent))

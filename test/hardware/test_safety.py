@@ -1,4 +1,4 @@
-"""Safety rules: what is refused, what trips and stays tripped; commands, model and readings."""
+"""Safety rules on commands and readings: refusals, limits, the model, latched reasons."""
 
 import math
 
@@ -23,7 +23,7 @@ def moments(seconds, begin=0.0):
 
 
 def is_said(expected, reason):
-    """A reason begins as expected; "" is expected where nothing is wrong."""
+    """The reason begins with `expected`; "" means that there is no reason."""
     return reason.startswith(expected) and bool(reason) == bool(expected)
 
 
@@ -85,7 +85,7 @@ def test_the_same_reading_again_is_not_fresh():
 
 
 class Bench:
-    """A guard, and readings of its channels at a moment: `now` s, also their stamp."""
+    """A guard and readings of its channels, received and stamped at `now` s."""
 
     def __init__(self, channels=("a",), feedback=("power", "temperature")):
         self.guard = safety.Guard(list(channels), list(feedback), 1.0)
@@ -104,7 +104,7 @@ class Bench:
 def test_guard_without_a_camera_goes_by_the_model_only_where_no_temperature_comes():
     bench = Bench(feedback=["power"])
     for now in moments(4.2):
-        # Seen at 340 K for 3 s, then by nobody.
+        # Measured at 340 K for 3 s, then no temperature any more.
         fault = bench.read(now, 8.0 if now > 2.0 else 0.0, kelvin=340.0 if now < 3.0 else None)
         assert fault == "" or now >= 3.0
     assert fault.startswith("over-temperature by the model: a at 171")
@@ -115,8 +115,8 @@ def test_guard_without_a_camera_goes_by_the_model_only_where_no_temperature_come
 
 @pytest.mark.parametrize("volt", [INF, -INF, 3e38, -3e38])
 def test_one_reading_beyond_all_measure_does_not_blind_the_model_rule(volt):
-    """6 V for 12 s at a wire that stays cold is a fault, whatever was read once before; and a wire
-    that does as it should is left alone."""
+    """A wire that stays cold at 6 V for 12 s is a fault, whatever single reading came before; a
+    wire that warms as modelled is not."""
     bench, found = Bench(), ""
     bench.read(0.9, volt, 1.0)
     for now in moments(12.0, 1.0):
@@ -155,7 +155,7 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
     assert gate.command([6.0], now + 0.51, other) == ""
     assert gate.outputs(now + 0.51) == (6.0,)
     assert gate.command([3.0], now + 0.52, one) != ""
-    # 0 V is obeyed from anybody, as long as a command is.
+    # 0 V from any sender is obeyed for as long as a command.
     gate = safety.CommandGate(1, LIMITS)
     gate.command([3.0], 0.0, one)
     for now in moments(0.8):
@@ -165,7 +165,7 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
     for now in moments(0.8, 0.8):
         gate.command([3.0], now, one)
     assert gate.outputs(now) == (3.0,)
-    # Whoever holds it with 0 V lets go by clearing.
+    # `clear` also releases a commander who commands 0 V.
     gate = safety.CommandGate(1, LIMITS)
     gate.command([0.0], 0.0, one)
     assert "commands already" in gate.command([3.0], 0.1, other)
@@ -201,7 +201,7 @@ def test_a_deviation_must_last_without_a_gap():
 
 
 def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disagrees():
-    """Small voltages too; broken and shorted wires by their resistance."""
+    """Also at small voltages; broken and shorted wires are found by their resistance."""
     for commanded, volt, ampere in ((3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0),
                                     (8.0, 8.45, 8.45 / R)):
         assert powered(commanded, volt, ampere, 3.0) == ""
@@ -280,8 +280,8 @@ def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
 
 
 def test_a_wire_that_aged_and_that_nobody_sees_is_as_hot_as_what_it_takes():
-    """7.7 V would have a new wire at 161 degC. Readings without a current go by the last one with,
-    for a second."""
+    """A new wire would reach 161 degC at 7.7 V. A missing current is replaced by the last measured
+    one, for a second."""
     rest, aged, dumb = (0.0, 0.0, 2.0), 7.7 / (1.2 * R), (7.7, NAN, 0.02)
     for celsius, *readings in (
         (0, *[(7.7, aged, 0.05), dumb] * 20),
@@ -294,7 +294,7 @@ def test_a_wire_that_aged_and_that_nobody_sees_is_as_hot_as_what_it_takes():
 
 
 def test_pulses_between_two_readings_heat_as_they_were_sent():
-    """Readings every 0.2 s meet pulses of 0.2 s in one phase, on or off."""
+    """Readings every 0.2 s sample pulses of the same period at one phase, always on or always off."""
     mean = 0.3 * 8.0**2 / R / LIMITS.heat_loss
     for phase, volt in ((0, 8.0), (10, 0.0)):
         bench, wire = Bench(feedback=[]), 0.0
@@ -303,13 +303,13 @@ def test_pulses_between_two_readings_heat_as_they_were_sent():
             if k % 20 == 5:
                 wire = bench.read(PERIOD * k, volt, kelvin=LIMITS.ambient + mean)
                 assert wire == ""
-        # The same with a camera that sees nothing of it.
+        # The same with a camera that shows no warming.
         for k in range(400, 800):
             bench.guard.commanded([8.0 if (k + phase) % 20 < 6 else 0.0])
             if k % 20 == 5:
                 wire = bench.read(PERIOD * k, volt, kelvin=LIMITS.ambient - 40.0)
         assert wire.startswith("disagreement: a measured at -17 degC, the model says ")
-    # What was sent before the last reading heats no more.
+    # Commands from before the last reading no longer count.
     held = Wire("a")
     held.command(0.0)
     for now in (0.0, 1.0):
@@ -327,7 +327,7 @@ def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told(
         reasons.append(bench.read(now, kelvin=LIMITS.ambient))
     assert reasons[50] == ""
     assert reasons[-1].startswith("disagreement: a measured at 23 degC, the model says 107 degC")
-    # A stamp that jitters is no warming.
+    # Jitter of the stamps does not count as a heating rate.
     bench = Bench(feedback=[])
     for kelvin, now, fault in (
         (300.0, 0.0, ""), (340.0, 0.001, ""),
@@ -338,7 +338,7 @@ def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told(
 
 
 def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees_none_of_it():
-    """Its current says what heats it, and what it had at rest is its room, within 20 K."""
+    """The heat follows from its current, and its temperature at rest is the room's, within 20 K."""
     aged, draught, room = 1.2 * R, 1.7, LIMITS.ambient - 18.0
     rise = 7.7**2 / aged / LIMITS.heat_loss
     for at_rest, driven, cut in ((room, room + rise / draught, ""),
@@ -397,4 +397,5 @@ def test_an_open_wire_is_found_by_its_steps_and_a_sound_one_is_not_wherever_its_
         return
     for seed in range(4):
         reason = found_open(volts, 1, seed, 30.0)
-        assert reason.startswith("open: front_2 takes ") and reason.endswith("beside front_1")
+        assert reason.startswith("open: front_2 takes ")
+        assert reason.endswith("(it shares a sensor with front_1)")

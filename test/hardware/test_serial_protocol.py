@@ -1,4 +1,4 @@
-"""Bytes and messages of the serial protocol, against its documentation and against damage."""
+"""The serial protocol: examples of its documentation, messages, and damaged bytes."""
 
 import re
 from pathlib import Path
@@ -33,7 +33,7 @@ def test_checksum_and_documented_session_are_valid():
 
 
 def test_messages_are_decoded_and_what_is_none_is_refused():
-    """Text and binary telemetry say the same."""
+    """Text and binary telemetry decode to the same values."""
     expected = Telemetry(sequence=57, time_us=3210000, state=1, cause=0,
                          supply=pytest.approx(12.003), current=pytest.approx((-0.102, 0.0)),
                          range_voltage=pytest.approx((1.5002, 1.499)),
@@ -129,13 +129,13 @@ def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
 @pytest.mark.parametrize(("said", "text"), DEVICE["trips"])
 def test_the_last_trip_is_told_in_words_by_a_firmware_that_keeps_it(said, text):
     values = dict(pair.split("=") for pair in said.split())
-    assert str(serial_messages.Trip.told(values)).startswith(text)
+    assert str(serial_messages.Trip.from_values(values)).startswith(text)
 
 
 @pytest.mark.parametrize("said", ["trip=x trip_ds=1 trip_open=0", "trip=2", "trip_open=1"])
 def test_a_last_trip_without_its_numbers_is_one_line(said):
     with pytest.raises(InputError, match="last trip is .*, expected three numbers"):
-        serial_messages.Trip.told(dict(pair.split("=") for pair in said.split()))
+        serial_messages.Trip.from_values(dict(pair.split("=") for pair in said.split()))
 
 
 def window(number, period_us=10000):
@@ -148,11 +148,11 @@ def window(number, period_us=10000):
        period=st.sampled_from((2000, 10000, 100000)))
 @example(uptime=65536, first=1, period=100000)  # the count goes on as if nothing had happened
 def test_a_restart_is_noticed_after_any_uptime(uptime, first, period):
-    """Most of all between half a turn of the clock, 35.8 min, and a whole one."""
+    """Especially after an uptime between half a wrap of the clock (35.8 min) and a whole one."""
     status = LinkStatus()
     status.note(window(uptime, period))
     reached = status.restarted(window(first, period), period)
-    # Within three windows of a match of both counters: once in 20000 restarts.
+    # Unnoticed only if both counters match within three windows: one in 20000 restarts.
     same = (uptime - first) * period % (1 << 32), (uptime - first) % 65536
     gap = (-same[0] + same[1] * period) % (65536 * period)
     assert reached or min(gap, 65536 * period - gap) <= 3 * period

@@ -1,4 +1,4 @@
-"""The camera: Planck's law, pixels, frames to be held back, synthetic pictures, its reports."""
+"""The camera: Planck's law, pixels, frames that are held back, synthetic images, reports."""
 
 from functools import partial
 
@@ -90,11 +90,11 @@ def test_frames_that_are_frozen_stale_or_warned_of_are_held_back():
     for stamp, now, said, *frame in (
         (0.0, 0.02, ""), (0.1, 0.1, "", frozen), (0.2, 0.2, "frozen", frozen.copy()),
         (0.3, 0.3, "frozen", frozen.copy()), (0.4, 0.4, ""), (1.0, 1.5, "0.5 s old"),
-        (1.6, 1.6, ""), (1.6, 1.65, "there before"), (1.55, 1.66, "there before"),
+        (1.6, 1.6, ""), (1.6, 1.65, "not after the one"), (1.55, 1.66, "not after the one"),
         (9.0, 1.7, "in the future"), (1.75, 1.75, ""),
     ):  # fmt: skip
         assert is_said(said, stamp, now, *frame)
-    # The shutter, by its flag and by a uniform picture, which settles after it.
+    # The shutter, by its flag and by a uniform image, with the time to settle.
     assert np.ptp(camera.shutter()) < 10 < np.ptp(camera.empty())  # tenths of a kelvin
     judge.flag(closed=True)
     assert is_said("shutter", 1.8, 1.8)
@@ -139,7 +139,7 @@ def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace
     assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)
 
 
-# --- what the camera's node says, and what it refuses at the start
+# --- reports of the camera's node, and refusals at its start
 
 GOOD = WireReading(kelvin=353.15, std=0.8, seen=True, background=297.0)
 UNSEEN = WireReading(reason="no wire stands out from the background of 23.0 degC")

@@ -1,4 +1,4 @@
-"""A wire's temperature, its stated deviation, what an unseen wire means: from painted pictures."""
+"""Wire temperature, its standard deviation, and wires that are not seen: on synthetic images."""
 
 import math
 from statistics import NormalDist
@@ -66,7 +66,7 @@ def test_a_wide_wire_needs_no_correction_a_thin_one_does_and_a_wrong_width_is_se
         found = readings(scene(UPRIGHT, width), optics(width, correct_fill=False))
         assert low < -errors(found).mean() < high
     wrong = reading(scene(UPRIGHT, 1.0, blur=0.4), optics(4.0))
-    assert "narrower in the picture than its 4 pixels" in wrong.reason
+    assert "narrower in the image than its 4 pixels" in wrong.reason
     assert math.isnan(wrong.kelvin)
     near = reading(scene(straight(28.0), 0.5), optics(0.52, width_std=0.04))
     assert near.kelvin - HOT == pytest.approx(-1.7, abs=0.3)
@@ -125,7 +125,7 @@ def test_a_wire_that_leaves_its_region_is_not_read_nor_taken_for_a_cold_one():
         assert reading(scene(straight(place)), region=region, cold=True).reason
 
 
-# --- nothing to be seen
+# --- wires that are not visible
 
 
 def test_a_wire_as_warm_as_its_background_is_not_invented_and_noise_is_no_wire():
@@ -136,12 +136,12 @@ def test_a_wire_as_warm_as_its_background_is_not_invented_and_noise_is_no_wire()
         camera, region = SyntheticCamera(width, height, [], unevenness=4.0), whole(width, height)
         found = [read_wire(camera.empty(), region, optics(), BLACK) for _ in range(60)]
         assert not any(r.seen for r in found)
-    # A faint one is read right or not at all: no bias from reading only what stands out.
+    # A faint wire is read correctly or not at all: reading only visible ones causes no bias.
     truth = scene(UPRIGHT, kelvin=ROOM + 0.9)
     found = [r for r in readings(truth, n=80) if not r.reason]
     off = errors(found, ROOM + 0.9)
     assert found and abs(off.mean()) < np.mean([r.std for r in found])
-    # A colder one where that is asked for.
+    # A wire colder than its background, if requested.
     truth = scene(UPRIGHT, kelvin=280.0)
     found = reading(truth)
     assert "colder than its background" in found.reason and math.isnan(found.kelvin)
@@ -202,7 +202,7 @@ def test_the_variance_covers_the_error_as_a_normal_distribution_does():
     assert abs(errors.mean()) < 3 / len(errors) ** 0.5
 
 
-# --- a wire from picture to picture
+# --- a wire from image to image
 
 FRAME = 1 / 80
 

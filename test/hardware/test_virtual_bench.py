@@ -1,4 +1,4 @@
-"""The bench in software, without ROS: rates, instruments, physics, lockstep with a driver."""
+"""The simulated bench without ROS: rates, instruments, physics, lockstep with a driver."""
 
 from pathlib import Path
 
@@ -155,7 +155,7 @@ TIMEOUT, PATIENCE = 0.5, 2.0
 
 
 class Simulation:
-    """Runs slices whenever allowed, and turns its own wall clock."""
+    """Runs slices whenever allowed, with its own wall clock."""
 
     def __init__(self, speed):
         self.lockstep = Lockstep(SLICE, speed, TIMEOUT, PATIENCE)
@@ -205,13 +205,13 @@ def test_a_driver_that_left_or_is_slow_is_waited_for_no_longer_than_its_patience
     begin = simulation.run(0.1)
     simulation.command()
     assert simulation.run(PATIENCE - 0.1) == pytest.approx(begin + SLICE)
-    # Once as a slow driver, once for good.
+    # Waited for once as a slow driver, then never again.
     assert simulation.run(2 * PATIENCE + 0.5) > begin + 10 * TIMEOUT
     simulation.command()
     begin = simulation.slices
     simulation.run(1.0)
     assert simulation.slices - begin == 1
-    # One that is slower than it said stalls it once: its next command is due two slices later.
+    # A driver slower than declared stalls it once: its next command comes two slices later.
     simulation = Simulation(100.0)
     simulation.command()
     simulation.run(PATIENCE + 0.3)

@@ -1,5 +1,5 @@
-"""Thermal pictures by brute force, independent of the package: Planck's law summed on a fine grid,
-a wire painted on pixels divided by eight, blurred and averaged."""
+"""Thermal images by brute force, independent of the package: Planck's law summed on a fine grid, a
+wire drawn on pixels divided by eight, blurred and averaged."""
 
 from functools import cache
 

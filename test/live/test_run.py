@@ -1,5 +1,5 @@
-"""A run and a recording without ROS: what is planned is followed, and the wire left cold; what is
-written."""
+"""A run and a recording without ROS: the plan is followed, faults abort it at 0 V; what is recorded
+when."""
 
 import json
 import math
@@ -26,11 +26,11 @@ LONG, WAITS = RUNS["long"], RUNS["waits"]
 
 
 class Bench:
-    """A run's outputs, and a wire that gets what is commanded or else what the test wants."""
+    """A run's outputs, and a wire that follows the commands or the test's own values."""
 
     def __init__(self, protocol=LONG, require_recorder=False):
         self.celsius, self.deaf, self.frozen, self.late = 25.0, False, False, 0
-        # What a step that waits for it hears of the temperature, None for nothing.
+        # Temperature readings for steps that wait for it; None: none.
         self.told = lambda kelvin: kelvin
         self.sent, self.marks, self.states, self.shown = [], [], [], []
         self.send, self.mark = self.sent.append, self.marks.append
@@ -50,7 +50,7 @@ class Bench:
         return self.states[-1]
 
     def read(self):
-        """The readings of one moment."""
+        """Send the readings of one moment."""
         if not self.frozen:
             self.stamp = self.now
         volt = 0.0 if self.deaf or len(self.sent) <= self.late else self.sent[-1 - self.late][0]
@@ -72,7 +72,7 @@ class Bench:
         return self.started(self.plan)
 
     def started(self, plan):
-        """Whether a run starts, and the line that says so or why not."""
+        """Success of a request to start, and its answer."""
         try:
             return True, self.run.start(self.now, plan)
         except InputError as error:
@@ -97,7 +97,7 @@ UNHEARD = "warm waits for it: stale feedback: nothing new from temperature wire"
     (WAITS, {"told": None}, UNHEARD), (WAITS, {"told": lambda _: math.nan}, UNHEARD),
 ])  # fmt: skip
 def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
-    """What else is wrong, and that an abort is latched: test/nodes/test_experiment.py."""
+    """For other faults and the latch of an abort see test/nodes/test_experiment.py."""
     bench = Bench(protocol)
     assert bench.start()[0]
     bench.spend(0.5)
@@ -113,7 +113,7 @@ def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
 @pytest.mark.parametrize("rest", [0.0, 0.5])
 def test_a_run_too_brief_for_the_rule_of_its_volts_to_break_is_not_done_without_them(
         drive, deaf, late, is_done, rest):
-    """Volts that never arrive, or at the end no more, which a rest hides; late readings."""
+    """Voltages that never appear, or disappear at the end (hidden by a rest); late readings."""
     bench = Bench({"name": "brief", "steps": [{"kind": "hold", "level": 3.0, "duration": drive},
                                               *[{"kind": "rest", "duration": rest}] * (rest > 0)]})
     bench.guard, bench.late = Guard(("wire",), ("power", "temperature"), 2.0), late
@@ -149,7 +149,7 @@ def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     bench.told = None
     refused = bench.started(bench.plan)
     assert refused == (False, "no feedback: wire/power was never received")
-    assert bench.start() == (False, "warm waits for temperature, which nobody publishes")
+    assert bench.start() == (False, "warm waits for temperature, which is not published")
     for around, why in (
         (Surroundings(commands_heard=False), "nothing listens to voltage_command"),
         (Surroundings(has_time=False), "use_sim_time is set, but there is no /clock"),
@@ -181,9 +181,9 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
         said = {"state": state, "output": "bag", "failure": "", "messages": messages}
         bench.readiness.recorder(json.dumps(said), bench.now)
 
-    assert "no recorder is there" in bench.start()[1]
+    assert bench.start()[1].startswith("no recorder (nothing publishes recorder/state)")
     bench.around = Surroundings(present={RECORDER}, published=lambda: ["/a", "/b", POWER])
-    assert bench.start() == (False, "the recorder has not said its state")
+    assert bench.start() == (False, "no valid state of the recorder received yet")
     recorder_says("recording", {"/a": 1, POWER: 0})
     unheard = "the recorder does not hear /b, /bench/wire/power yet"
     assert bench.start() == (True, f"starts as soon as it can: {unheard}")
@@ -209,7 +209,7 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
 
 
 def test_a_start_waits_until_readings_come_steadily_and_only_for_so_long():
-    """As while a busy computer starts other nodes: readings nearly stale, and more."""
+    """As on a busy computer that starts other nodes: readings are nearly stale, or stale."""
     bench = Bench()  # readings are stale after 0.5 s
     bench.run = Run(bench, OpenLoop(), bench.guard, bench.readiness, 1, True, 0.5, 2.0)
 
@@ -234,7 +234,7 @@ def test_a_start_waits_until_readings_come_steadily_and_only_for_so_long():
     be_late(*[0.42] * 8)
     assert_cold(bench, "not started: readings have come in time for 0.")
     assert not any(map(any, bench.sent[driven:]))
-    # Slow ones are in time, too.
+    # Slow but regular readings count as in time.
     bench.run.reset()
     read, bench.read = bench.read, lambda: round(bench.now / PERIOD) % 17 or read()
     bench.spend(5.0)
@@ -264,13 +264,13 @@ def test_a_step_ends_when_the_wire_is_warm_or_with_its_limit_and_the_next_has_it
     assert bench.sent[-1] == [0.0] and bench.marks[-1] == "waits/cool"
 
 
-# --- what a recorder writes
+# --- recording
 
 READING, STATE = "/bench/wire/temperature", "/bench/experiment/state"
 
 
 def recording_to(bag, idle=(False, 0.0)):
-    """A recording that has begun, and what tells it a message."""
+    """A recording that has begun, and a function that gives it a message."""
     recording = Recording("bag", lambda: idle, pytest.fail, lambda _: bag)
     recording.begin("bag")
     for topic in (READING, STATE):
@@ -283,13 +283,13 @@ def recording_to(bag, idle=(False, 0.0)):
 
 
 def stamps(bag, of=READING):
-    """ns, of what was written of a topic."""
+    """Stamps (ns) of a topic's recorded messages."""
     written = [call.args for call in bag.write.call_args_list]
     return [stamp for topic, stamp, _ in written if topic == of]
 
 
 def test_what_is_recorded_and_that_messages_of_one_tick_keep_their_order():
-    """Bags one after another are those of test/nodes/test_recorder.py."""
+    """For several bags in turn see test/nodes/test_recorder.py."""
     for topic, kind in (
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
         ("/bench/wire/power", "sensor_msgs/msg/BatteryState"),

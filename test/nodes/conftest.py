@@ -1,4 +1,4 @@
-"""Nodes as processes, and a node of the test's own that talks to them."""
+"""Nodes as processes, and a node of the test that communicates with them."""
 
 import signal
 import subprocess
@@ -47,7 +47,7 @@ class RunningNode:
         return self.process.wait(PATIENCE)
 
     def ended_with(self, status, said):
-        """It ends by itself, in one line about its reason."""
+        """It ends by itself, with one line about the reason."""
         ended = self.process.wait(PATIENCE)
         return ended == status and said in self.output and "Traceback" not in self.output
 
@@ -70,7 +70,7 @@ class TestBench:
         self.diagnostics = self.hear("/diagnostics")
 
     def start(self, name, *files, options=None, remap=None, **parameters):
-        """Start a node; `__` in a parameter's name stands for a dot."""
+        """Start a node; `__` in a parameter name means a dot."""
         arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
         for old, new in (remap or {}).items():
             arguments += ["-r", f"{old}:={new}"]
@@ -82,14 +82,14 @@ class TestBench:
         return self.start_with(name, arguments, **(options or {}))
 
     def start_with(self, name, arguments, **options):
-        """Start a node as its command line has it."""
+        """Start a node with this command line."""
         if options:
             return self.run(name, ["-m", "sma_bench.nodes.start", name, *arguments], **options)
         log = self._log(name)
         return self._running(ForkedNode(name, arguments, log), log)
 
     def run(self, name, command, **options):
-        """Start something else of Python's."""
+        """Start another Python program."""
         log, words = self._log(name), [sys.executable, *command]
         with log.open("wb") as out:
             process = subprocess.Popen(
@@ -122,7 +122,7 @@ class TestBench:
         self.until(lambda: time.monotonic() > end)
 
     def hear(self, *topics):
-        """Messages of topics whose type the end of their names tells; a list, or one for each."""
+        """Messages of topics (types follow from the names); a list, or one for each topic."""
         heard = [[] for _ in topics]
         for topic, messages in zip(topics, heard, strict=True):
             kind, *qos = KINDS[topic.rpartition("/")[2]]
@@ -136,14 +136,14 @@ class TestBench:
         messages.append(message)
 
     def stamped_after(self, messages, is_shown, cause, wait=None):
-        """ns from when `cause` began to the stamp of the first message that shows it; `cause` is
-        called again and again while waiting, `wait` is another `until`."""
+        """ns from the first call of `cause` to the stamp of the first message that shows its effect;
+        `cause` is called repeatedly while waiting; `wait` replaces `until`."""
         seen, sent = len(messages), time.time_ns()
         (wait or self.until)(lambda: cause() or any(map(is_shown, messages[seen:])))
         return stamp_of(next(filter(is_shown, messages[seen:]))) - sent
 
     def status(self, part):
-        """Newest that a part of a node says of itself, `twin: gap`; None before the first."""
+        """Newest status of a part of a node, such as `twin: gap`; None before the first."""
         found = (s for a in reversed(self.diagnostics) for s in a.status)
         return next((s for s in found if s.name == f"{NAMESPACE}/{part}"), None)
 
@@ -153,7 +153,7 @@ class TestBench:
         return next((v.value for v in values if v.key == key), "")
 
     def talk(self, topic, kind):
-        """A publisher that has its reader."""
+        """A publisher that has a subscriber."""
         publisher = self.node.create_publisher(kind, topic, 100)
         self.until(publisher.get_subscription_count)
         return publisher
@@ -162,11 +162,11 @@ class TestBench:
         return self._answer(self.trigger_later(service))
 
     def trigger_later(self, service):
-        """The future of a call that takes its time."""
+        """Start a call; returns the future of its answer."""
         return self.know(service).call_async(Trigger.Request())
 
     def refused(self, service, said):
-        """It is, in one line."""
+        """True if the call is refused, with `said` in its one line."""
         answer = self.trigger(service)
         return not answer.success and said in answer.message and "\n" not in answer.message
 
@@ -186,9 +186,8 @@ class TestBench:
         return future.result()
 
     def know(self, service, kind=Trigger):
-        """A client that the server knows too, so that a call takes no time for it. Of that a client
-        sees nothing: an answer to one that the server has not matched yet is lost with a warning.
-        """
+        """A client that the server has matched, too. A client cannot see that, and an answer to one
+        that the server has not matched yet is lost with a warning."""
         if service not in self._clients:
             client = self._clients[service] = self.node.create_client(kind, service)
             self.until(client.service_is_ready)

@@ -1,4 +1,4 @@
-"""A bridge process on an emulated bench, and a commander of the test's own."""
+"""A bridge process on an emulated bench, and a commander in the test."""
 
 import json
 import resource
@@ -17,7 +17,7 @@ from sma_bench.parameters import Parameters
 COMMAND_PERIOD = 0.05
 PATIENCE = 10.0
 CELSIUS_ZERO = 273.15
-# A picture small enough for a loaded machine, of a wire that shows.
+# An image small enough for a loaded machine, with a wire wide enough to see.
 PICTURE = {"image_width": 120, "image_height": 80}
 
 
@@ -34,9 +34,9 @@ class Commander:
         # V of each wire, K that the camera is wrong by; None where nobody commands or looks.
         self.voltage, self.fever = (0.0,), 0.0
         self.lags = []
-        """s of the wall's clock less the Uno's, all along: it grows where the machine is busy"""
+        """wall clock minus the Uno's (s), over time: grows when the machine is busy"""
         self.kelvin = None
-        """what the camera sees instead of the wire"""
+        """temperature that the camera sees instead of the wire's"""
 
     @property
     def state(self):
@@ -44,7 +44,7 @@ class Commander:
         return self.states[-1].data if self.states else ""
 
     def until(self, condition, patience=30.0):
-        """Wait for a condition as `bench.until`, commanding and looking at the wire meanwhile."""
+        """Like `bench.until`, with commands and temperatures published meanwhile."""
 
         def step():
             self._keep_alive()
@@ -53,7 +53,7 @@ class Commander:
         return self.bench.until(step, patience)
 
     def send(self, *values):
-        """One command, whatever is in it."""
+        """Send one command, valid or not."""
         self._command.publish(Float64MultiArray(data=[float(value) for value in values]))
 
     def _keep_alive(self):
@@ -73,8 +73,8 @@ class Commander:
 
 
 class BridgedRig(Commander):
-    """One emulated bench, one serial_bridge, and the topics between them and the test; with a
-    `camera` the temperatures are what a synthetic one sees, read by `ir_camera`."""
+    """One emulated bench, one serial_bridge, and the test's topics to them; with `camera` the
+    temperatures come from a synthetic camera and `ir_camera`."""
 
     def __init__(self, bench, hardware, camera=False, **parameters):
         super().__init__(bench, hardware, "true_temperature" if camera else "temperature")
@@ -84,14 +84,14 @@ class BridgedRig(Commander):
         if camera:
             bench.start("synthetic_camera", **PICTURE, rate=20.0)
             bench.start("ir_camera", **PICTURE, read_cold_wires=True)
-            # Known from now on, so that breaking it takes no time.
+            # Match this service now, so that a later fault takes no time.
             assert bench.set_parameter("synthetic_camera", "fault", "none").successful
             self.seen = bench.hear("wire/temperature")
         bench.until(self._camera.get_subscription_count)
         self.refusal = ""
-        """what a fault was answered"""
+        """the answer to a fault"""
         self.said = b""
-        """all bytes from the host, through the port: what a fault writes is not said by it"""
+        """all bytes from the host through the port, without those that a fault writes"""
         uno = hardware.uno
 
         def tapped(data):
@@ -109,36 +109,36 @@ class BridgedRig(Commander):
         self.until(lambda: self.state == "idle" and self.power and self.seen != [])
         self.for_a_while(0.3)  # of readings, which the self-test looks at
         end = time.monotonic() + PATIENCE
-        # The bridge meets the camera's node in its own time.
+        # The bridge takes some time to discover the camera's node.
         while not (answer := self.ask("enable")).success:
             assert "was never received" in answer.message, answer.message
             assert time.monotonic() < end, answer.message
             self.for_a_while(0.2)
 
     def ask(self, service):
-        """Answer of one of the bridge's services; commands go on meanwhile."""
+        """Answer of one of the bridge's services; commands continue meanwhile."""
         future = self.bench.trigger_later(f"serial_bridge/{service}")
         self.until(future.done)
         return future.result()
 
     def find(self, service):
-        """Get to know a service, so that asking it takes no time."""
+        """Match a service, so that a later call takes no time."""
         self.bench.know(f"serial_bridge/{service}")
         self.for_a_while(0.2)
 
     def drive(self, *voltage):
-        """Command and wait until the wire has it."""
+        """Command a voltage and wait until the wire has it."""
         self.voltage = voltage
         self.until(lambda: self.power and abs(self.power[-1].voltage - voltage[0]) < 0.1)
 
     def record(self, folder):
-        """Start a recorder and wait until it has written what the bench says."""
+        """Start a recorder and wait until it has written the bench's messages."""
         states = self.bench.hear("recorder/state")
         self.recorder = self.bench.start("recorder", output=folder)
         self.until(lambda: states and any(json.loads(states[-1].data)["messages"].values()))
 
     def fill_disk(self, folder):
-        """No file of the recorder grows from now on."""
+        """From now on the recorder can write nothing."""
         largest = max(path.stat().st_size for path in folder.rglob("*"))
         limits = (largest, resource.RLIM_INFINITY)
         resource.prlimit(self.recorder.process.pid, resource.RLIMIT_FSIZE, limits)
@@ -153,8 +153,8 @@ class BridgedRig(Commander):
 
 @contextmanager
 def bridged_rig(bench, uno, camera=False, **settings):
-    """The wire rig behind a serial_bridge, enabled by nobody yet."""
-    # The emulator's thread must get its turn between two slices, every half a millisecond.
+    """The wire rig behind a serial_bridge, not enabled yet."""
+    # The emulator's thread must run between two slices, every half millisecond.
     sys.setswitchinterval(1e-4)
     with emulated_bench(Parameters.defaults(), uno) as hardware:
         rig = BridgedRig(bench, hardware, camera, **settings)

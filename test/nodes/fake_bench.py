@@ -1,4 +1,4 @@
-"""A bench without physics: readings are what the test wants, commands are kept."""
+"""A bench without physics: readings are set by the test, commands are stored."""
 
 from functools import partial
 
@@ -9,9 +9,9 @@ MOST = 2.9  # A; the supply gives no more than the bench allows
 
 
 class FakeBench:
-    """Every 20 ms while the test spins: wires get what `driver` commands, be they as warm as the
-    test says, and of several the tip is at rest; `ampere` is their current instead of the volts';
-    of kinds in `silent` (power, temperature, joints) nothing comes."""
+    """Publishes every 20 ms while the test spins: the wires have the voltages that `driver`
+    commands, the temperature `celsius`, and the current `ampere` (None: from the voltage); the tip
+    is at rest. Kinds in `silent` (power, temperature, joints) are not published."""
 
     def __init__(self, bench, driver="experiment", channels=("wire",)):
         self.celsius, self.ampere, self.silent = 25.0, None, set()

@@ -1,4 +1,4 @@
-"""Tasks for a worker's process, which imports where they are written."""
+"""Tasks for a worker's process, which imports this module."""
 
 import os
 import signal

@@ -1,7 +1,7 @@
-"""Every hazard that the bridge and the firmware must survive ends with outputs at 0 V, in time,
-and with its cause reported; `./bench check faults` tries all of them.
+"""Every hazard that bridge and firmware must survive ends with the outputs at 0 V, in time, and
+with its cause reported; `./bench check faults` tries all of them.
 
-Hazard, detection, reaction and limit are those of docs/safety.md; here, how each is made and told.
+docs/safety.md lists hazard, detection, reaction and limit; here is how each is caused and reported.
 """
 
 import math
@@ -20,26 +20,26 @@ from uno.emulated_uno import Relay, Switch
 from sma_bench.hardware.serial_messages import line
 
 STOP = ord("!")
-# The timers' interrupts may be off, and nobody did it.
+# Interrupt masks of the timers, which a hardware fault may clear.
 TIMSK0, TIMSK1 = 0x6E, 0x6F
-# s beside the limit of what a host has to notice: it shares the machine with the emulator, and
-# with others.
+# s more than the limit if the host has to notice: it shares the machine with the emulator and other
+# programs.
 LOADED = 0.5
 
 
 def rows(title):
-    """Cells of the table in a section of the page, without its head."""
+    """Cells of the table in a section of the page, without its header."""
     page = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
     section = page.read_text().partition(f"## {title}")[2].partition("\n## ")[0]
     lines = [line for line in section.splitlines() if line.startswith("| ")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
-# --- How they are made ---------------------------------------------------------------------------
+# --- Causing the faults --------------------------------------------------------------------------
 
 
 def do(job):
-    """A fault that is made between two slices of the bench's time; the moment of it."""
+    """A fault caused between two slices of the bench's time; returns its moment."""
     return lambda rig: rig.hardware.do(lambda: job(rig))
 
 
@@ -55,7 +55,7 @@ def poke(register):
 
 
 def electrics(channel=0, supply=None, **values):
-    """Numbers at the pins; of wires at one channel."""
+    """Change the supply, and the wire of one channel."""
 
     def change(rig):
         pins = rig.hardware.uno.electrics
@@ -67,7 +67,7 @@ def electrics(channel=0, supply=None, **values):
 
 
 def seen(**values):
-    """What the test commands (`voltage`, V) and its camera sees (`kelvin`, `fever`) from now on."""
+    """Change the test's command (`voltage`, V) and its camera's readings (`kelvin`, `fever`)."""
     return do(lambda rig: vars(rig).update(values))
 
 
@@ -80,13 +80,13 @@ def hang(interrupts):
 
 
 def noise(rig):
-    """Garbage that leaves no pause for a command, for half a second of the Uno's time."""
+    """Garbage without a pause for a command, for half a second of the Uno's time."""
     garbage = random.Random(1).randbytes(12000)
     rig.hardware.uno.write(garbage.translate(None, bytes((STOP, 10, 13))))
 
 
 def replay(rig):
-    """All that the host said so far, again, after a stop and a reset."""
+    """Replay all bytes of the host after a stop and a reset."""
     said = rig.said.translate(None, bytes((STOP,)))
     assert b"V " in said
     rig.ask("stop")
@@ -113,13 +113,13 @@ def full_disk(rig):
 
 
 def second_host(rig):
-    """The handshake of a host that the port's lock did not keep out, and its attempt to arm."""
+    """The handshake of a second host, in spite of the port's lock, and its attempt to arm."""
     says = b"".join(line(body) for body in ("T 100", "?", "A 1", "V 1 1 9000 0 0 0"))
     rig.hardware.uno.write(b"\n" + says)
 
 
 def break_switch(rig, kind):
-    """While the relay is open and nothing is enabled."""
+    """Break a switch while the relay is open and nothing is enabled."""
     rig.ask("stop")
     assert rig.ask("reset").success
     rig.for_a_while(0.2)
@@ -139,7 +139,7 @@ def enable_with(kind):
 
 
 def stuck_behind_a_welded_relay(rig):
-    """Nothing can end it but the plug, which is pulled when the bridge says so."""
+    """Only the plug can end this current; it is pulled when the bridge reports it."""
     pins = rig.hardware.uno.electrics
     rig.find("enable")
     pins.relay_is = Relay.WELDED
@@ -158,7 +158,7 @@ def too_much_heat(rig):
 
 
 def nonsense(rig):
-    """Only commands that must be rejected."""
+    """Send only commands that must be rejected."""
     moment = seen(voltage=None)(rig)
     for bad in ((math.nan,), (math.inf,), (), (1.0, 2.0), (10.5,), (-1.0,)):
         rig.send(*bad)
@@ -172,7 +172,7 @@ def stop(rig):
     return moment
 
 
-# --- What tells their causes ---------------------------------------------------------------------
+# --- Where the causes are reported ---------------------------------------------------------------
 
 
 def state(rig):
@@ -184,7 +184,7 @@ def refusal(rig):
 
 
 def after_restart(rig):
-    """What a new bridge knows, whose opening of the port has reset the device."""
+    """The report of a new bridge, which has reset the device by opening the port."""
     rig.bench.diagnostics.clear()
     rig.node = rig.bench.start("serial_bridge", port=rig.hardware.path)
     rig.until(lambda: rig.bench.value("last_reset"))
@@ -198,7 +198,7 @@ def after_waking(rig):
 
 
 def seen_by(rig):
-    """What the bridge says, and what the camera's node does."""
+    """The reports of the bridge and of the camera's node."""
     part = "ir_camera: camera"
     rig.until(lambda: rig.bench.status(part) and rig.bench.status(part).message != "running")
     return f"{rig.state} (ir_camera: {rig.bench.status(part).message})"
@@ -216,10 +216,10 @@ def value(key):
 def fault(cause, make, told=state, volts=3.0, quick=False, camera=False, **settings):
     """One hazard on a bench that drives `volts`, whose bridge has these `settings`.
 
-    `make` brings it about and returns the moment in s of the Uno's clock. `cause` is a part of the
-    reason that is `told`, or several with `|` between, where both device and bridge see it and
-    either may be first to be reported. `quick` ones belong to the short run of the tests; those of
-    the `camera` have a synthetic one and the node `ir_camera`.
+    `make` causes it and returns its moment in s of the Uno's clock. `cause` is a part of the reason
+    that `told` returns, or several separated by `|` if device and bridge both detect it and either
+    may report first. `quick` ones belong to the short run of the tests; those with `camera` have a
+    synthetic one and the node `ir_camera`.
     """
     return SimpleNamespace(**locals())
 

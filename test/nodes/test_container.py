@@ -1,5 +1,4 @@
-"""A simulated bench in one process: its nodes are what they are in processes of their own, and end
-together."""
+"""A simulated bench in one process: its nodes work as in separate processes, and end together."""
 
 import json
 import re
@@ -26,7 +25,7 @@ WARM = "name: warm\nsteps: [{kind: hold, level: 3.0, duration: 600.0}]\n"
 
 
 def container(bench, tmp_path, protocol, *more, speed=1.0):
-    """A bench that runs a protocol and records it, and `more` nodes in the same process."""
+    """A bench that runs and records a protocol, with `more` nodes in the same process."""
     file = tmp_path / "protocol.yaml"
     file.write_text(protocol)
     clock = ["-p", "use_sim_time:=true"] if speed > 1.0 else []
@@ -50,7 +49,7 @@ def test_nodes_of_one_process_run_record_and_work_as_ever_and_their_bag_is_on_on
     bench.until(lambda: states and states[-1].data == "running: short_ramp", PATIENCE)
     expected = {"simulator", "experiment", "recorder", "identification"}
     bench.until(lambda: expected <= set(bench.node.get_node_names()))  # the graph is told apart
-    # Own parameters are one node's, those of the file everybody's.
+    # Parameters after a name are that node's, those of the file are shared.
     assert not bench.set_parameter("simulator", "speed", 2.0).successful
     held = bench.set_parameter("experiment", "bench.maximum_voltage", 9.0)
     assert "bench.maximum_voltage cannot change" in held.reason
@@ -66,7 +65,7 @@ def test_nodes_of_one_process_run_record_and_work_as_ever_and_their_bag_is_on_on
     assert node.end() == 0 and "Traceback" not in node.output
     assert commands[-1].data[0] == 0.0
 
-    # On one clock: no late temperature.
+    # All on one clock: no temperature is late.
     (ramps,) = json.loads(answer.message)["experiments"]
     delay = ramps["details"]["delay"]
     # The simulator applies a command at a reading's instant, the fit expects it between two.
@@ -90,7 +89,7 @@ def test_one_end_is_that_of_all_at_0_v_with_a_whole_bag(bench, tmp_path, how):
         bench.node.create_timer(0.02, lambda: other.publish(message))
         bench.until(lambda: node.process.poll() is not None)
         assert node.process.returncode == 2
-        # Whichever sees it first.
+        # Any of them may notice it first.
         first = r"simulator\]: .* second pub|recorder\]: .* another pub"
         assert re.search(first, node.output)
     bench.until(lambda: commands[-1].data[0] == 0.0)

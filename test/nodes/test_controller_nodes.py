@@ -1,4 +1,4 @@
-"""The controllers as processes: they track on the simulator, and leave the wires cold."""
+"""The controllers as processes: they track a reference on the simulator and end at 0 V."""
 
 import json
 import signal
@@ -13,14 +13,14 @@ from sma_bench.installation import share_directory
 from sma_bench.ros.node import seconds_of
 
 COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
-# Few readings: the test has to keep up with them. However long a loaded machine keeps the
-# controller waiting, simulated time waits for its commands, and the test for both. At a hundred
-# times real time, not at ten, a busy machine's readings reach the controller in bunches.
+# Few readings, as the test has to keep up with them. On a loaded machine simulated time waits for
+# the controller's commands, and the test for both. At a hundred times real time (but not at ten)
+# the readings of a busy machine would reach the controller in bursts.
 FAST = {"speed": 10.0, "rate__power": 20.0, "rate__temperature": 40.0, "rate__mechanics": 40.0,
         "lockstep_patience": 60.0}  # fmt: skip
 LONG = 300.0
 FROM_A_TOPIC = {
-    # Its temperatures are what the test says, whatever is commanded.
+    # The test sets the temperatures, whatever is commanded.
     "bench__temperature_tolerance": 500.0,
     "reference": "''", "autostart": True, "feedback_timeout": 1.0,
 }  # fmt: skip
@@ -30,7 +30,7 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
     tip, volts, states = bench.hear(
         "joint_states", "voltage_command", "deflection_controller/state"
     )
-    # The controller knows the wires less well than it thinks.
+    # The controller's parameters of the wires are wrong.
     off = {"wire__heat_transfer_coefficient": 411.0, "wire__austenite_start_temperature": 332.9}
     bench.start("simulator", COMPOSITE_RIG, **FAST | {"speed": 4.0}, **off)
     triangle = {"kind": "triangle", "rise": 3.0, "fall": 3.0}
@@ -39,7 +39,7 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
     reference = tmp_path / "short.yaml"
     reference.write_text(yaml.safe_dump({"name": "short", "unit": "m", "steps": steps}))
     bench.start("deflection_controller", COMPOSITE_RIG, use_sim_time=True, reference=reference)
-    # Readings are heard before the run, which takes less than a second.
+    # Readings must arrive before the run, which takes less than a second.
     bench.until(lambda: tip and states and states[-1].data == "idle", LONG)
     bench.until(lambda: bench.trigger("deflection_controller/start").success, LONG)
     bench.until(lambda: states[-1].data.startswith(("done", "aborted")), LONG)

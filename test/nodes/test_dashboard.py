@@ -1,4 +1,4 @@
-"""The dashboard beside real nodes: what it finds, and a stop that is quick on the emulated Uno."""
+"""The dashboard with real nodes: what it shows, and how fast its stop is on the emulated Uno."""
 
 import asyncio
 import http.client
@@ -26,7 +26,7 @@ LOOK = 0.2
 
 
 class Dashboard:
-    """`sma-bench dashboard` as a process, seen by a client of the test's own."""
+    """`sma-bench dashboard` as a process, and a client in the test."""
 
     def __init__(self, bench):
         command = ["-m", "sma_bench.cli", "dashboard", "--port", "0"]
@@ -40,7 +40,7 @@ class Dashboard:
         return self.url
 
     def update(self):
-        """The first update of a new page, a few times a second: everything that is known."""
+        """The first update of a new page, which contains everything; a few times a second."""
         self._bench.until(lambda: time.monotonic() > self._due)
         self._due = time.monotonic() + LOOK
 
@@ -58,14 +58,14 @@ class Dashboard:
         return self.update()["panels"]
 
     def press(self, what="stop", body=None):
-        """A connection on which the stop is asked for; `read` it for what came of it."""
+        """Request the stop; returns the connection, `read` gives the result."""
         parts = urlsplit(self.url)
         connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=30.0)
         connection.request("POST", parts.path + what, body)
         return connection
 
     def work(self, kind, records):
-        """What the page is told when it asks for it."""
+        """The answer to a request for work."""
         return read(self.press("work", json.dumps({"kind": kind, "records": records})))["said"]
 
 
@@ -86,7 +86,7 @@ def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_t
 ):
     monday = protocol_record("quick_staircase", Parameters.of_paper())
     write_record(tmp_path / "monday", list(monday.signals.values()))
-    # Messages take most of the processor's time.
+    # Few messages, as these take most of the CPU time.
     rates = {f"rate__{kind}": 20.0 for kind in ("power", "temperature", "mechanics")}
     bench.start("simulator", bench__maximum_temperature=400.0, **rates)
     bench.start("experiment", protocol="staircase", bench__maximum_current=2.5)
@@ -101,7 +101,7 @@ def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_t
     of = ["experiment", "identification", "simulator"]
     bench.until(lambda: shown.panels().get("limits", {}).get("of") == of)
     bench.until(lambda: "simulator: bench" in shown.panels().get("diagnostics", {}))
-    # Of what drives, the limits in force and where each is from.
+    # For nodes that drive, the limits in force and their sources.
     bench.until(lambda: "experiment: limits" in shown.panels()["diagnostics"])
     said = shown.panels()["diagnostics"]["experiment: limits"]["message"]
     assert "maximum_current 2.5 (-p), maximum_temperature 423.15 (default)" in said
@@ -149,7 +149,7 @@ def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_t
 
 
 def driven(rig):
-    """Whether the wire gets 3 V: on a busy machine the device stops it for want of commands."""
+    """True if the wire gets 3 V: on a busy machine the device may time out without commands."""
     rig.voltage = (0.0,)
     rig.until(lambda: rig.state == "idle" or rig.ask("reset").success)
     rig.until(lambda: rig.power and rig.ask("enable").success)
@@ -166,7 +166,7 @@ def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(req
         for _ in range(TRIES):
             if not driven(rig):
                 continue
-            # The commander goes on: what stops the wire must be the bridge's own latch.
+            # The commander continues: only the bridge's latch may stop the wire.
             moment = rig.hardware.do(lambda: None)
             connection = shown.press()
             off = rig.off_after(moment)

@@ -1,4 +1,4 @@
-"""What holds of every node, seen on the nodes themselves, made in this process."""
+"""Properties of all nodes, checked on nodes created in this process."""
 
 import gc
 import signal
@@ -24,22 +24,22 @@ from sma_bench.ros.bench_client import BenchClient
 from sma_bench.ros.dashboard import listening_node
 from sma_bench.ros.node import OneThreadExecutor, end_of_ros, layout_fault, voltage_command
 
-# Made by rclpy before a node's parameters can be.
+# Created by rclpy before a node can have parameters.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")
 COMPOSITE = Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml"
 COMMANDS = "qos_overrides./bench/voltage_command.publisher"
 QOS = "qos_overrides./bench/{}.reliability:=best_effort"
 CHANNELS = ("front_1", "back_1")
-# What a node cannot do without, and pictures that are quickly drawn.
+# Required parameters, and images that render quickly.
 FILLED = ("-p", "regions:=['', '', '', '']", "-p", "image_width:=96", "-p", "image_height:=72")
-# What the plant, the camera's eye and the bridge are made of, or limit wires by.
+# Nodes whose parameters cannot change while they run.
 FROZEN = ("simulator", "serial_bridge", "ir_camera")
 CHANGES = yaml.safe_load(Path(__file__).with_name("changes.yaml").read_text())
 
 
 @pytest.fixture
 def make(ros_domain, tmp_path, monkeypatch, as_any_process):
-    """Makes a node by its name; arguments after it are of its command line."""
+    """Creates a node by its name; further arguments are its command line."""
     monkeypatch.chdir(tmp_path)
     made = []
 
@@ -58,7 +58,7 @@ def make(ros_domain, tmp_path, monkeypatch, as_any_process):
 
 
 def test_a_process_leaves_ros_when_the_end_of_its_nodes_has_been_read(ros_domain):
-    # A peer that reads it after DDS's participant has gone keeps the node in its graph for ever.
+    # A peer that reads this after the DDS participant ended keeps the node in its graph for ever.
     own, seen = rclpy.Context(), [set()]
     rclpy.init(args=[], context=own)
     peer = rclpy.create_node("peer", context=own)
@@ -81,7 +81,7 @@ def test_a_process_leaves_ros_when_the_end_of_its_nodes_has_been_read(ros_domain
 
 
 def assert_overridable(node, best_effort=""):
-    """QoS of every topic can be overridden, and that of one is."""
+    """The QoS of every topic can be overridden, and that of `best_effort` is."""
     for kind, endpoints in (("publisher", node.publishers), ("subscription", node.subscriptions)):
         for endpoint in endpoints:
             topic = getattr(endpoint, "topic_name", None) or endpoint.topic
@@ -97,12 +97,12 @@ def test_every_node_has_overridable_qos_latches_texts_and_keeps_results_in_their
     for name in NODE_TABLES:
         node = nodes[name] = make(name, "--params-file", str(COMPOSITE), *FILLED, "-p",
                                   QOS.format(f"{progress}.publisher"))  # fmt: skip
-        # A best-effort commander is heard.
+        # Commands of a best-effort publisher are received.
         drives = name in ("simulator", "serial_bridge")
         assert_overridable(node, "voltage_command" if drives else progress)
         result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
         assert not result.successful and "read-only" in result.reason
-    # A text is a state, the marker, or JSON that has a schema.
+    # A text topic is a state, the marker, or JSON with a schema.
     texts = {p.topic_name.removeprefix("/bench/") for node in nodes.values()
              for p in node.publishers if p.msg_type is String}  # fmt: skip
     texts -= {marker, *(f"{name}/state" for name in NODE_TABLES if name != "recorder")}
@@ -124,7 +124,7 @@ def test_every_node_has_overridable_qos_latches_texts_and_keeps_results_in_their
 def test_what_param_dump_writes_param_load_sets_and_whatever_is_set_is_answered_in_a_line(
     make, tmp_path, name
 ):
-    """As these commands of ros2 do: the file's values become texts, and what these look like."""
+    """As the ros2 commands do: values of the file become text and are parsed again."""
     node = make(name, "--params-file", str(COMPOSITE), *FILLED, "-p", "wire.mass:=9.0e-5")
     executor = OneThreadExecutor()
     executor.add_node(node)

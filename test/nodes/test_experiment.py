@@ -1,4 +1,4 @@
-"""The experiment as a process: it follows the protocol, and leaves the wire cold."""
+"""The experiment node as a process: it follows the protocol and ends at 0 V."""
 
 import json
 import os
@@ -30,7 +30,7 @@ def protocol(tmp_path):
 
 
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
-    """In lockstep: simulated time takes a step of 50 ms for each command."""
+    """In lockstep: simulated time advances by 50 ms for each command."""
     markers, states, commands = bench.hear(
         "experiment/marker", "experiment/state", "voltage_command"
     )
@@ -72,7 +72,7 @@ def test_a_clock_of_finer_steps_than_the_commands_has_one_command_a_period(bench
 def test_limits_and_clock_stay_and_whoever_says_that_something_is_wrong_ends_the_run(
     bench, protocol
 ):
-    """The rules themselves are those of test/live; here, that each topic and service is heard."""
+    """The rules are tested in test/live; here, that each topic and service takes effect."""
     fake = FakeBench(bench)
     long = {"protocol": protocol(LONG), "feedback_timeout": 1.5, "command_rate": 50.0}
     recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
@@ -151,10 +151,10 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
     bench, protocol, tmp_path
 ):
     bench.hear("voltage_command")
-    # Stated: a default would make way.
+    # Stated explicitly, as a default would be replaced.
     stated = {"wire__austenite_finish_temperature": 353.61}
     bench.start("experiment", protocol_root=str(tmp_path), **stated)
-    # Once it has found the test, which listens to its commands.
+    # After it has discovered the test's subscription to its commands.
     unfed = "no feedback: wire/power was never"
     bench.until(lambda: bench.refused("experiment/start", unfed))
     pipe, link, huge = (tmp_path / f"{name}.yaml" for name in ("pipe", "link", "huge"))

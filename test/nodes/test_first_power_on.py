@@ -1,4 +1,4 @@
-"""docs/first_power_on.md played on the emulated bench: its commands, its answers, its hands."""
+"""docs/first_power_on.md executed on the emulated bench: commands, answers and manual steps."""
 
 import math
 import re
@@ -22,13 +22,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "first_power_on.md"
 PATIENCE = 60.0
 ANSWER = 5.0
-# What the bench has and the page finds out: divider, gain (V/A) and offset (V) of the sensor.
+# Properties of the bench that the page determines: divider, sensor gain (V/A) and offset (V).
 DIVIDER, GAIN, OFFSET = 4.08, 0.096, 0.012
 _STEP = re.compile(r"^<!-- (by hand|when asked): (.*?) -->$|^```\n(.*?)^```", re.M | re.S)
 
 
 def steps():
-    """(kind, text, expected answer) of all that the page has somebody do."""
+    """(kind, text, expected answer) of all steps of the page."""
     for hand, action, block in _STEP.findall(PAGE.read_text()):
         if hand:
             yield hand, action, ""
@@ -38,7 +38,7 @@ def steps():
 
 
 class Reader(Commander):
-    """Commands in the page's words, hands at the emulated bench."""
+    """Runs the page's commands and does its manual steps on the emulated bench."""
 
     def __init__(self, bench, hardware, folder):
         super().__init__(bench, hardware)
@@ -70,7 +70,7 @@ class Reader(Commander):
         self.off()
 
     def off(self):
-        """No pulse any more, as the meter shows."""
+        """No pulses any more, as a meter would show."""
         self.until(lambda: self.hardware.pins.off_for > 0.3, PATIENCE)
 
     def run(self, command, expected):
@@ -89,11 +89,11 @@ class Reader(Commander):
         self.until(lambda: expected in self.node.output, PATIENCE)
 
     def _call(self, words, expected):
-        """Asked again until it says so, as a reader would: links and readings take a moment."""
+        """Repeat the command until it answers so, as a reader would: links take a moment."""
 
         def right():
             future, patience = self.bench.trigger_later(words[0]), time.monotonic() + ANSWER
-            # A node that was killed may still seem to be there, and never answers.
+            # A killed node may still be in the graph, but never answers.
             self.until(lambda: future.done() or time.monotonic() > patience, PATIENCE)
             said = future.result().message if future.done() else "nothing"
             print(f"{words[0]} says {said!r}, expected {expected!r}")

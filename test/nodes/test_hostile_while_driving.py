@@ -1,6 +1,6 @@
-"""Whatever comes while nodes drive: each answers in a line and goes on; what it drives goes on too,
-or ends at 0 V with a line. Of simulator, experiment and recorder that is `./bench check
-reliability`'s; the experiment's readings are here those of the controllers, which extend it."""
+"""Hostile messages while nodes drive: each answers in one line and continues; its run continues,
+too, or ends at 0 V with a line. For simulator, experiment and recorder see `./bench check
+reliability`; the experiment's readings are tested here by the controllers, which extend it."""
 
 import math
 
@@ -17,7 +17,7 @@ from sma_bench.ros.node import LATCHED
 
 COMPOSITE = share_directory() / "config" / "composite_rig.yaml"
 WIRES = "front_1", "front_2", "back_1", "back_2"
-# Readings are what the test says, whatever is commanded.
+# The test sets the readings, whatever is commanded.
 GIVEN = {"command_rate": 100.0, "autostart": True, "feedback_timeout": 1.0, "reference": "''",
          "bench__temperature_tolerance": 500.0, "bench__voltage_tolerance": 10.0}  # fmt: skip
 REFERENCES = {"temperature_controller": (Float64MultiArray, [40.0] * 4),
@@ -29,7 +29,7 @@ SINGLE = 3e38  # beyond it there are no 32-bit numbers
 
 
 class Driven:
-    """A node and, of a controller, the fake bench of four wires that it drives."""
+    """A node and, for a controller, the fake bench of four wires that it drives."""
 
     def __init__(self, bench, name):
         self.bench, self.name, self.drives = bench, name, name in REFERENCES
@@ -42,14 +42,14 @@ class Driven:
             self.until_driven()
 
     def until_driven(self, seen=0):
-        """A run is on, of states since `seen`, and commands volts, unless it was ended."""
+        """Wait until a run (by the states since `seen`) commands a voltage, or was aborted."""
         bench, fake = self.bench, self.fake
         bench.until(lambda: any(s.data.startswith("running") for s in fake.states[seen:]))
         self.reference.publish(self.kind(data=self._wanted))
         bench.until(lambda: max(fake.volts) > 1.0 or not fake.state.startswith("running"))
 
     def goes_on(self):
-        """It answers; its run is on, or was ended at 0 V in one line and is begun again."""
+        """It answers; its run is on, or was aborted at 0 V with one line and is started again."""
         bench, fake, name = self.bench, self.fake, self.name
         assert not bench.set_parameter(name, "use_sim_time", True).successful
         if not self.drives:
@@ -68,7 +68,7 @@ class Driven:
 
 
 def readings():
-    """Topic, type and fields of readings that no wire has, and of moments that never were."""
+    """Topic, type and fields of impossible readings and impossible stamps."""
     for number in NUMBERS:
         single = min(max(number, -SINGLE), SINGLE) if math.isfinite(number) else number
         for fields in ({"voltage": single}, {"current": single}):

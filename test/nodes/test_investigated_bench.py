@@ -1,4 +1,4 @@
-"""Runs that an investigation asks of a bench's nodes: recorded, stopped at 0 V, gone on with."""
+"""Runs that an investigation requests from a bench's nodes: recorded, stopped at 0 V, continued."""
 
 import json
 import signal
@@ -14,7 +14,7 @@ from sma_bench.ros.bench_client import BenchClient
 from sma_bench.ros.processes import NodeProcesses
 
 SPACE = "/investigated"
-# Messages take most of the processor's time.
+# Few messages, as these take most of the CPU time.
 RATES = {"rate__power": 20.0, "rate__temperature": 20.0, "rate__mechanics": 20.0}
 
 
@@ -35,7 +35,7 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
     with NodeProcesses(SPACE, tmp_path) as nodes:
         nodes.start("simulator", {}, (file,))
         nodes.start("experiment", {"protocol_root": str(tmp_path)}, (file,))
-        # The first start may compile the physics, and nodes meet in their own time.
+        # The first start may compile the physics, and discovery takes its time.
         with BenchClient(SPACE, nodes.check) as client:
             client.wait("simulator", lambda: client.simulated_seconds > 4.0, 120.0)
         run(2.0, 2.0, "record_1")
@@ -58,14 +58,14 @@ def test_the_node_waits_for_confirmation_goes_on_after_kill_9_and_stops_at_0_v(b
     )
 
     def begun():
-        """A node that was asked to start, waited for confirmation and has it run."""
+        """A node that was started, waited for confirmation, got it and runs the protocol."""
         told.clear()
         files = {"folder": tmp_path / "gap", "output_root": tmp_path}
         node = bench.start("investigation", lab, use_sim_time=True, **files)
         bench.until(lambda: told and told[-1].data == "idle")
         assert bench.refused("investigation/confirm", "nothing to confirm: idle")
         assert bench.trigger("investigation/start").success
-        # A diagnosis, which may take its time while other tests run.
+        # The diagnosis may be slow while other tests run.
         bench.until(lambda: told[-1].data.startswith("waiting for confirmation: "), 120.0)
         offer = json.loads(results[-1].data)["next"]
         assert told[-1].data.endswith(offer["protocol"]) and 0.0 < offer["volts"] < 10.0

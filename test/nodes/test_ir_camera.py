@@ -1,4 +1,4 @@
-"""Thermal pictures of a synthetic camera, in processes, become temperatures or are held back."""
+"""Thermal images of a synthetic camera, between processes, become temperatures or are held back."""
 
 import array
 
@@ -12,7 +12,7 @@ from sma_bench.nodes.bench_plan import WIRE, plan_bench
 from sma_bench.ros.node import seconds_of
 
 ROOM = 23.0
-# A picture small enough for a loaded machine.
+# An image small enough for a loaded machine.
 SMALL = {"image_width": 120, "image_height": 80}
 QUIET = {"sensor__temperature_noise": 0.0, "sensor__temperature_resolution": 0.0}
 
@@ -25,13 +25,13 @@ def test_planned_nodes_read_a_wire_by_its_pictures_until_the_camera_freezes(
     )
     protocol = tmp_path / "hold.yaml"
     protocol.write_text("steps: [{kind: hold, level: 4.0, duration: 60.0}]\n")
-    # Of a wire of unknown width a camera would know little more than its place.
+    # Without the wire's width the camera could measure little more than its position.
     known = {"simulator": QUIET, "ir_camera": {"wire__diameter": 0.0003}}
     given = {"camera": "true", "record": "false", "nodes": "none", "protocol": str(protocol)}
     for node in plan_bench(WIRE, given):
         parameters = {k.replace(".", "__"): v for k, v in node.parameters.items()}
         parameters |= known.get(node.executable, {})
-        # As on a robot: there message classes copy what they are given.
+        # As on a robot, where message classes copy their fields.
         checked = "0" if node.executable == "synthetic_camera" else "1"
         monkeypatch.setenv("ROS_PYTHON_CHECK_FIELDS", checked)
         bench.start(node.executable, node.file, remap=dict(node.remappings), **parameters)
@@ -74,7 +74,7 @@ def test_no_temperature_is_stamped_before_its_heat_and_the_scene_may_change_mean
         assert 0 <= late < 1e9
 
     def spread():
-        """Levels of 0.1 K in the corner of the newest picture."""
+        """Range of the pixel values (0.1 K) in the corner of the newest image."""
         return int(np.ptp(np.frombuffer(seen[-1].data, "<u2").reshape(80, 120)[:20, :20]))
 
     assert spread() > 3
@@ -86,7 +86,7 @@ def test_no_temperature_is_stamped_before_its_heat_and_the_scene_may_change_mean
 
 
 class Camera:
-    """The test's own camera, one small picture at a time, and what its reader says of it."""
+    """A camera in the test, one small image at a time, and the reports of its reader."""
 
     def __init__(self, bench):
         self._bench = bench
@@ -107,14 +107,14 @@ class Camera:
         self._publisher.publish(message)
 
     def says(self, part, text):
-        """Whether the newest status of a part of the node is an error with this text."""
+        """True if the newest status of a part of the node is an error with this text."""
         status = self._bench.status(f"ir_camera: {part}")
         is_error = status is not None and status.level == DiagnosticStatus.ERROR
         return is_error and text in status.message
 
 
 def test_wrong_pictures_and_unseen_wires_are_withheld_and_cold_ones_read_where_not_heated(bench):
-    """Judgement of frames is that of test/hardware; here, that topics and diagnostics follow it."""
+    """The checks of frames are tested in test/hardware; here, their topics and diagnostics."""
     read = bench.hear("wire/temperature")
     node = bench.start("ir_camera", **SMALL)
     camera, background = Camera(bench), ROOM + 1.5

@@ -30,7 +30,7 @@ for name in ("simulator", "serial_bridge", "ir_camera"):
 
 @pytest.fixture
 def a_robot(tmp_path):
-    """Where rosdep brought everything: without the packages of requirements-robot.txt."""
+    """An installation by rosdep only, without the packages of requirements-robot.txt."""
     without = tmp_path / "without"
     without.mkdir()
     for name in ("mcap", "msgspec", "pint", "zstandard"):
@@ -65,7 +65,7 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     ):  # fmt: skip
         set_parameter("record", [record])
         assert bench.refused(identify, said)
-    # Cancelled, while it is busy with another one.
+    # Cancelled, while another request is refused as busy.
     set_parameter("record", ["stairs"])
     assert not bench.trigger("identification/cancel").success  # nothing runs
     unwanted = bench.trigger_later(identify)
@@ -78,7 +78,7 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     bench.until(lambda: states[-1].data == "idle")
     first = bench.trigger_later(identify)
     bench.until(lambda: states[-1].data.startswith("busy"))
-    # The request at work keeps what it was asked; this is for the next one.
+    # The running request keeps its parameters; these apply to the next one.
     (tmp_path / "file").touch()
     assert set_parameter("output_directory", "file/out")
     bench.until(first.done, patience=120.0)
@@ -92,7 +92,7 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     rounding = 0.06 * resistance["std"]  # a file has the digits that the error deserves
     assert saved["wire.resistance"] == pytest.approx(resistance["value"], abs=rounding)
     assert saved.std("wire.resistance") == pytest.approx(resistance["std"], abs=rounding)
-    # One whose node ends meanwhile has no answer.
+    # If its node ends, a request gets no answer.
     unheard = bench.trigger_later(identify)
     bench.until(lambda: states[-1].data.startswith("busy"))
     assert node.end() == 0 and not unheard.done()
@@ -154,7 +154,7 @@ def test_a_task_has_what_was_given_and_its_failures_are_one_line():
 
 
 def test_work_is_no_more_urgent_than_any_though_the_node_that_asks_for_it_is():
-    """As one is that shares its process with a node that drives."""
+    """As for a node that shares its process with one that drives."""
 
     def ask():
         try:

@@ -1,7 +1,7 @@
 """Launch files, parameter files and command lines of nodes: what they start and refuse, and the
 beam that RViz shows.
 
-A stand-in of the few classes of ROS's `launch` keeps what it is given, and starts nothing.
+Fakes of the few classes of ROS's `launch` store their arguments and start nothing.
 """
 
 import re
@@ -39,7 +39,7 @@ LAUNCH = CASES["imported"]
 
 
 class Recorded:
-    """An action with the arguments that it was made with."""
+    """An action that stores its arguments."""
 
     def __init__(self, *args, **kwargs):
         self.args, self.given = args, SimpleNamespace(**kwargs)
@@ -72,7 +72,7 @@ def node(actions, executable):
 
 
 def own(actions, executable):
-    """Parameters over the rig's file, with texts unpacked."""
+    """Parameters that override the rig's file, as plain values."""
     found = node(actions, executable).parameters[-1]
     return {k: v.args[0] if isinstance(v, Recorded) else v for k, v in found.items()}
 
@@ -105,7 +105,7 @@ def test_a_bench_is_what_its_arguments_say_and_every_node_knows_its_parameters(r
         known = {p.name for p in NODE_TABLES[planned.executable]} | {"use_sim_time"}
         assert set(planned.parameters) <= known
         check_arguments(planned.executable, ["--ros-args", "--params-file", planned.file])
-    # The end of one that holds the outputs ends the bench.
+    # When a node that drives ends, the bench ends.
     vital = {planned.executable for planned in nodes if planned.vital}
     beside = {"recorder", "twin", "identification", "diagnosis", "investigation"}
     assert vital == set(expected) - beside
@@ -123,7 +123,7 @@ def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperat
         "protocol": "ramp", "autostart": True, "use_sim_time": True, "require_recorder": True
     }  # fmt: skip
     assert own(actions, "recorder") == {"output": "20261121", "use_sim_time": True}
-    # Else launch_ros reads a number where the node wants a text.
+    # Otherwise launch_ros reads a number for a text parameter.
     assert isinstance(node(actions, "recorder").parameters[-1]["output"], KINDS["ParameterValue"])
     assert {action.given.namespace for action in actions} == {"lab"}
     assert isinstance(node(actions, "simulator").on_exit, KINDS["Shutdown"])
@@ -193,7 +193,7 @@ def test_a_bad_protocol_or_argument_is_refused_unless_it_may_be_that_of_an_inclu
 
 
 def played(**given):
-    """Command of the player, where it moves its topics, and the nodes beside it."""
+    """The player's command, its topic remappings, and the nodes beside it."""
     command, nodes = plan_replay(given)
     topics = command[command.index("--topics") + 1 : command.index("--remap")]
     moved = dict(pair.split(":=") for pair in command[command.index("--remap") + 1 :])
@@ -211,7 +211,7 @@ def test_a_record_is_played_below_the_namespace_and_its_commands_never_reach_a_b
     _, moved, _ = played(bag=str(bag), namespace="bench")
     commands = {moved[topic] for topic in moved if topic.endswith("voltage_command")}
     assert commands == {"/bench/replayed/voltage_command"}
-    # Beside it on its clock: the twin, the camera's reader and the services.
+    # Beside it, on its clock: the twin, `ir_camera` and the services.
     _, _, (twin,) = played(bag=str(bag), twin="true", params="lab.yaml")
     assert (twin.executable, twin.file, twin.vital) == ("twin", "lab.yaml", False)
     assert twin.parameters == {"use_sim_time": True}
@@ -264,7 +264,7 @@ def test_the_beam_is_described_when_asked_with_the_frames_of_the_messages_and_en
         assert turns[-1] * deflection == pytest.approx(2.0 * deflection / length, rel=0.05)
 
 
-# --- What a node's command line may bring, checked before ROS starts.
+# --- Command lines of nodes, checked before ROS starts.
 
 
 @pytest.fixture
@@ -301,7 +301,7 @@ def test_a_node_reads_its_own_section_and_later_sources_win(given):
     for arguments, said in (
         (given(others, "-p", "wire.resistance:=-1.0"), "wire.resistance is -1"),
         (["--ros-args", "-p", "bench.chanels:=[a]"], "unknown parameter bench.chanels"),
-        # ROS would pass over these.
+        # ROS would ignore these.
         (["--ros-args", "-p", "gain:=2"], "unknown parameter gain"),
         (["--ros-args", "-p", "wires:=['']"], "-p: unknown parameter wires"),  # another node's
         (["--ros-args", "-r", "__ns:=/bench", "--", "x"], "unknown argument 'x'"),

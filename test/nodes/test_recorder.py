@@ -1,4 +1,4 @@
-"""The recorder as a process: everything of its bench, readable whenever it dies."""
+"""The recorder as a process: it records all of its bench, in bags that a crash leaves readable."""
 
 import itertools
 import json
@@ -46,18 +46,18 @@ def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, 
     topics = "/bench/wire/temperature", "/bench/wire/power"
     node, counts = recording(bench, tmp_path / "bag", *topics)
     bench.until(lambda: reliable.get_subscription_count() and hasty.get_subscription_count())
-    # Another clock would stamp them with a time that never begins.
+    # With simulated time, which never begins here, messages would get no stamps.
     assert not bench.set_parameter("recorder", "use_sim_time", True).successful
     other.publish(temperature(0))
     chatter.publish(String(data="x"))
     hasty.publish(power)
     bench.until(lambda: counts() == dict(zip(topics, (0, 1), strict=True)))
-    # What was sent before the end is written though it still waits.
+    # Messages sent before the end are written, even if they were still queued.
     node.process.send_signal(signal.SIGSTOP)
     for k in range(burst):
         reliable.publish(temperature(k))
     node.process.send_signal(signal.SIGCONT)
-    # Where a buffer has no room for all of them, the rest comes again.
+    # Messages that do not fit into a buffer are sent again.
     assert node.end(signal.SIGTERM) == 0
     record = read_record(tmp_path / "bag")
     assert record["wire.temperature"].values == pytest.approx([293.15 + k for k in range(burst)])

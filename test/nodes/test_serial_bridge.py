@@ -65,7 +65,7 @@ def test_the_bridge_speaks_the_contract_drives_only_when_enabled_and_says_what_i
 
 
 def assert_no_reading_is_stamped_before_its_cause(rig):
-    """But for what the emulated Uno's clock, unlike a real one's, loses on a busy machine."""
+    """Apart from the time that the emulated Uno's clock loses on a busy machine."""
     for level in (1.0, 2.0, 3.0):
         rig.voltage, begin = (level,), len(rig.lags)
         late = rig.bench.stamped_after(
@@ -76,7 +76,7 @@ def assert_no_reading_is_stamped_before_its_cause(rig):
 
 
 def assert_self_test(rig):
-    """It names each check."""
+    """The answer names each check."""
     answer = rig.ask("self_test")
     for check in ("connection", "link", "supply", "currents", "stop"):
         assert f"{check}: ok" in answer.message
@@ -90,10 +90,10 @@ def assert_self_test(rig):
 
 
 def assert_second_host_is_kept_out(rig):
-    """It cannot open the port, and the first goes on."""
+    """The second bridge cannot open the port, and the first one continues."""
     with pytest.raises(OSError, match="exclusively lock"):
         open_port(rig.hardware.path)
-    # One bench more; a second bridge of the same one would not even start.
+    # In another namespace; a second bridge of the same bench would not even start.
     arguments = ["--ros-args", "-r", "__ns:=/other", "-p", f"port:={rig.hardware.path}"]
     other = rig.bench.start_with("serial_bridge", arguments)
     rig.until(lambda: "not connected" in other.output and "exclusively lock" in other.output)
@@ -104,7 +104,7 @@ def assert_second_host_is_kept_out(rig):
 
 
 def test_a_new_bridge_knows_why_the_bench_stopped_before_its_power_failed(bench, uno):
-    """And arms only after it was acknowledged, which another one need not do again."""
+    """It arms only after an acknowledgement, which later bridges need not repeat."""
 
     def lose_power_and_bridge():
         rig.node.process.kill()

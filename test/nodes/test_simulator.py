@@ -1,5 +1,5 @@
-"""The simulator as a process: the contract's topics, its care with commands, and its clock. Its
-lockstep with whoever drives is that of test/hardware and of the experiment's own test."""
+"""The simulator as a process: the topics of the contract, its checks of commands, its clock. Its
+lockstep with a driver is tested in test/hardware and in the test of the experiment."""
 
 import math
 import signal
@@ -36,7 +36,7 @@ def test_wire_rig_speaks_the_contract_and_bad_commands_neither_drive_nor_keep_a_
     stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in power]
     assert {b - a for a, b in zip(stamps, stamps[1:], strict=False)} == {10_000_000}
     assert abs(stamps[-1] / 1e9 - time.time()) < 30.0
-    # The simulator listens to best effort too, and of that the first ones are lost.
+    # Its subscription is best effort, so the first commands may be lost.
     command = bench.talk("voltage_command", Float64MultiArray)
     bench.until(lambda: command.publish(volts(0.0)) or bench.value("accepted_commands") > "0")
     command.publish(volts(2.0))
@@ -50,8 +50,8 @@ def test_wire_rig_speaks_the_contract_and_bad_commands_neither_drive_nor_keep_a_
     assert driven == pytest.approx([2.0] * len(driven), abs=0.02)
     assert len(driven) == pytest.approx(0.8 * 100, abs=3)  # of the wire's time
 
-    # No reading is stamped before the command that it shows, nor where the simulator was kept from
-    # running for a while.
+    # No reading is stamped before the command that it shows, even if the simulator was suspended
+    # for a while.
     def shown(level):
         return bench.stamped_after(
             power, lambda m: abs(m.voltage - level) < 0.1, lambda: command.publish(volts(level))
@@ -68,7 +68,7 @@ def test_wire_rig_speaks_the_contract_and_bad_commands_neither_drive_nor_keep_a_
 def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(
     bench, monkeypatch, as_any_process
 ):
-    """Not at a reading: of a ramp's steps the readings would be late by half their period."""
+    """Not only at the next reading, or readings of a ramp would be late by half their period."""
     wall, found, milli, looks = 7_000_000_000, [], 1_000_000, count()  # a clock goes on
     monkeypatch.setattr(simulator, "time", SimpleNamespace(
         time_ns=lambda: wall, monotonic=lambda: wall / 1e9,
@@ -111,7 +111,7 @@ start.simulator(sys.argv[1:])
 
 
 def test_one_that_compiles_still_ends_at_once_and_leaves_the_graph(bench):
-    """As at its first start after an installation."""
+    """As at the first start after an installation."""
     node = bench.run("compiles", ["-c", COMPILES_FOR_LONG, "--ros-args", "-r", "__ns:=/bench"])
     bench.until(lambda: "waits for the comp" in node.output, 120.0)
     bench.until(lambda: "simulator" in bench.node.get_node_names())
@@ -123,7 +123,7 @@ def test_one_that_compiles_still_ends_at_once_and_leaves_the_graph(bench):
 
 
 def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(bench):
-    """And of two that do not sign, and might be two, neither drives."""
+    """If two publishers do not sign their commands, neither of them drives."""
     power = bench.hear("wire/power")
     bench.start("simulator")
     bench.start("experiment")  # signs: beside it a script may still drive
@@ -140,7 +140,7 @@ def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(b
     other = rclpy.create_node("other", namespace="/bench")
     other.create_publisher(Float64MultiArray, "voltage_command", 10)
     sending([volts(3.0)], lambda: applied(0.0))
-    said = "several nodes may send them: /bench/other, /bench/test"
+    said = "several nodes may have sent it: /bench/other, /bench/test"
     sending([volts(3.0)], lambda: said in bench.value("last_rejection"))
     other.destroy_node()
     sending([volts(3.0)], lambda: applied(3.0))

@@ -1,4 +1,4 @@
-"""The twin as a process beside the simulator: what it says of a bench that hides an effect."""
+"""The twin as a process beside the simulator: its reports on a bench with a hidden effect."""
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,7 +12,7 @@ EFFECT = "effect.side_heat_coupling.conductance"
 HIDDEN = {EFFECT: 0.002}
 PULSE = 7.0  # s
 PATIENCE = 300.0
-# Messages take most of the processor's time.
+# Few messages, as these take most of the CPU time.
 RATES = {"rate__power": 20.0, "rate__temperature": 20.0, "rate__mechanics": 20.0}
 
 pytestmark = pytest.mark.slow
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of_it(
     bench, tmp_path
 ):
-    """The twin's verdicts are those of test/twin; here, what its topics and parameters say."""
+    """The twin's verdicts are tested in test/twin; here, its topics and parameters."""
     energies, measured, predicted, residuals, currents, tips, joints, low, high = bench.hear(
         "twin/energy/thermal", "front_1/temperature", "twin/front_1/temperature",
         "twin/residual/front_1/temperature", "twin/back_1/power", "twin/joint_states",
@@ -29,7 +29,7 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
     )  # fmt: skip
 
     def status(part):
-        """The newest; a loaded machine may keep the simulator from speaking for a while."""
+        """The newest; on a loaded machine the simulator may pause for a while."""
         name, stale = f"/bench/twin: {part}", DiagnosticStatus.STALE
         found = (s for a in reversed(bench.diagnostics) for s in a.status if s.name == name)
         return next((s for s in found if s.level != stale), None)
@@ -52,12 +52,12 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
         command.publish(Float64MultiArray(data=[0.0, 0.0]))
         return joints and all(value(s, "energy") >= 0.0 for s in ("thermal", "mechanical"))
 
-    # What is there at the first verdict counts as known, not as grown.
+    # A gap at the first verdict counts as known, not as grown.
     bench.until(judged_at_rest, PATIENCE)
     begun = seconds_of(joints[-1])
 
     def drive(duration):
-        """For s of simulated time, both sides by turns."""
+        """Drive both sides in turn for so many s of simulated time."""
         end = seconds_of(joints[-1]) + duration
 
         def driven():
@@ -67,7 +67,7 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
             return now >= end
 
         bench.until(driven, PATIENCE)
-        # The twin, and this test, have heard of all of it.
+        # Until the twin and this test have received all of it.
         bench.until(lambda: value("gap", "model_time") > end - 1.0, PATIENCE)
 
     drive(22.0)
@@ -77,7 +77,7 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
     assert {v.key: v.value for v in gap.values}["stages"] == "thermal"
     assert status("mechanical").level == DiagnosticStatus.OK
     assert energies[-1].data > 3.0
-    # A residual is what the prediction lacks of the reading, with its stamp.
+    # A residual is the reading minus the prediction, with the reading's stamp.
     assert tips[-1].name == ["tip"] and currents[-1].location == "back_1"
     by_stamp, readings = (
         {seconds_of(m): m.temperature for m in messages} for messages in (predicted, measured)

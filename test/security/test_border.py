@@ -1,5 +1,5 @@
-"""What comes from outside is bounded in bytes, depth and time where it enters; what any program may
-put on a topic is bounded and typed, or nothing."""
+"""External input is bounded in bytes, depth and time where it enters; texts from topics are bounded
+and typed, or ignored."""
 
 import contextlib
 import json
@@ -20,7 +20,7 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 
 @contextlib.contextmanager
 def one_line(begin=""):
-    """Read, or refused in a short line."""
+    """Read, or refused with a short line."""
     try:
         yield
     except InputError as refused:
@@ -49,7 +49,7 @@ def test_yaml_that_nothing_can_use_is_one_line():
 
 def test_yaml_is_read_or_refused_with_its_reason_in_a_moment():
     assert border.load_yaml("a: &a [1]\nb: *a", aliases=True) == {"a": [1], "b": [1]}
-    # A megabyte is the limit; a quarter of it takes a quarter of the time.
+    # The limit is a megabyte; a quarter of it takes a quarter of the time.
     for text, aliases, said in (
         ("a: &a 1\nb: *a", False, "not supported"), ("a: " + "9" * 401, False, "64 bits|digits"),
         ("[" * 3000, False, "nested deeper than 64"), (MERGED, True, "merge keys"),
@@ -143,7 +143,7 @@ def test_files_are_replaced_together_or_not_at_all_and_keep_mode_and_link(tmp_pa
     assert first.read_text() == "old a"
 
 
-# --- texts on topics: what nodes and pages make of them is in test/nodes/test_dashboard.py --------
+# --- texts on topics (for their use by nodes and pages see test/nodes/test_dashboard.py) ----------
 
 
 @pytest.mark.parametrize("text", hostile("topics"), ids=lambda text: text[:20].encode().hex())

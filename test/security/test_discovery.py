@@ -1,4 +1,4 @@
-"""Nodes can be reached from this machine only, unless the user opens them to the network."""
+"""Nodes can only be reached from this machine, unless the user opens them to the network."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Bags that are well formed and made to harm: one line or a record, in bounds, nothing deleted."""
+"""Malicious but well-formed bags: refused in one line or read, within bounds, nothing deleted."""
 
 import contextlib
 import os
@@ -21,7 +21,7 @@ from sma_bench.records.bag_writer import write_record
 from sma_bench.records.storage import METADATA
 
 MAGIC = b"\x89MCAP0\r\n"
-# What a program may put in place of the messages of an sqlite3 bag.
+# Malicious replacements for the messages table of an sqlite3 bag.
 TRICKS = (
     "CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
     "SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(64) AS data FROM r",
@@ -55,7 +55,7 @@ def chunk(content, compressed=True):
 
 
 def journal_naming(db3, victim):
-    """A dead writer's journal with `victim`: SQLite deletes that file once it has rolled back."""
+    """A journal of a crashed writer that names `victim`: SQLite deletes that file on a rollback."""
     magic, page, sector, name = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7", 4096, 512, str(victim).encode()
     head = struct.pack(">8sIIIII", magic, 0, 1, db3.stat().st_size // page, sector, page)
     tail = struct.pack(">I", (1 << 30) // page + 1) + name
@@ -66,7 +66,7 @@ def journal_naming(db3, victim):
 
 
 def said_of(path):
-    """What is said of a bag that is read or refused within 1 GB and 10 s; voltages that it has."""
+    """Output for a bag that is read or refused within 1 GB and 10 s; its number of voltages."""
     with allowance(1 << 30, 10.0):
         try:
             record = read_record(path)
@@ -96,7 +96,7 @@ def test_no_file_is_deleted_by_the_journal_beside_a_bag_nor_read_through_a_link(
     assert (db3.read_bytes(), journal.read_bytes()) == before
 
 
-# The schema is data too: what it calls a table may be a view's text.
+# The schema is data, too: an entry called a table may be a view.
 ENTERED_VIEW = (
     "PRAGMA writable_schema = ON",
     f"UPDATE sqlite_master SET sql = '{TRICKS[0]}' WHERE name = 'messages'",
@@ -142,7 +142,7 @@ def texts(*several):
 
 
 def named_joints(count):
-    """A JointState of so many joints without a name."""
+    """A JointState of so many unnamed joints."""
     head = b"\0\1\0\0" + struct.pack("<iII4sI", 0, 0, 2, b"f", count)
     return head + bytes(4 * count) + bytes(12)
 
@@ -154,7 +154,7 @@ def chunks_in_chunks(content):
 
 
 HARMFUL_FILES = {
-    # 183 kB took 3.8 GB: a million messages in compressed chunks.
+    # 183 kB once used 3.8 GB: a million messages in compressed chunks.
     "bag.mcap: unfolds to more than": lambda: mcap_of(
         *[chunk(message(1, b"\0\1\0\0" + bytes(200)) * 80_000)] * 30),
     "a chunk inside a chunk": lambda: chunks_in_chunks(message(1, b"\0\1\0\0")),
@@ -211,7 +211,7 @@ def test_a_pipe_is_no_bag(tmp_path):
 
 @pytest.mark.parametrize(("step", "last", "most"), [(1000.0, 99e3, 5e4), (0.05, 1e9, 5e6)])
 def test_a_grid_has_an_end_whatever_the_times(step, last, most):
-    """Of a few readings over a day, and of one reading far away: cells get wider, not more."""
+    """For a few readings over a day, or one at a distant time, cells get wider, not more."""
     count = np.arange(1200 if step < 1.0 else 100)
     time = np.append(count[:-1] * step, last)
     record = Record("day", 0, {

@@ -1,4 +1,4 @@
-"""Names of bags and results that are markup, escapes or no text are shown, and do nothing."""
+"""Names of bags and results with markup, escapes or invalid text are shown without any effect."""
 
 import os
 
@@ -12,7 +12,7 @@ from sma_bench.report.page import Picture
 
 
 def test_names_do_nothing_to_a_terminal_a_yaml_file_or_a_report(tmp_path, capsys, monkeypatch):
-    """Escapes and controls, bytes that are no text, in the names of folders and in markers."""
+    """Escapes, control characters and invalid text in names of folders and in markers."""
     time = np.arange(200) * 0.1
     voltage = Signal("wire.voltage", "V", time, np.ones(200))
     marker = "\x1b]0;owned\x07\x1b[2J heat\r\nnext"
@@ -32,7 +32,7 @@ def test_names_do_nothing_to_a_terminal_a_yaml_file_or_a_report(tmp_path, capsys
         assert "\x1b" not in text and "\x07" not in text
         monkeypatch.setattr(Picture, "_file", lambda *_, **__: b"")  # those of one name are drawn
 
-    # A parameter file can be read whatever its comment.
+    # The parameter file is readable, whatever its comment contains.
     names = "bag\x1b\x07\x00 \udcff \u2028 \x85 \ufffe\r"
     write_parameters(tmp_path / "p.yaml", Parameters({"wire.mass": 1e-4}), f"from {names}")
     assert read_parameters(tmp_path / "p.yaml")["wire.mass"] == 1e-4

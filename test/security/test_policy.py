@@ -1,4 +1,4 @@
-"""The SROS 2 policy lists what the contract and the nodes themselves have, and no more."""
+"""The SROS 2 policy allows exactly what the contract and the nodes need."""
 
 import pytest
 
@@ -26,7 +26,7 @@ def test_the_policy_has_every_node_and_topic_and_nobody_may_do_everything() -> N
                           policy.DASHBOARD}  # fmt: skip
     rules = [rule for kinds in allowed.values() for names in kinds.values() for rule in names]
     assert not [rule for rule in rules if not rule.replace("*", "").strip("/~")]
-    # A rule that is missing is found.
+    # A missing rule is found.
     allowed["simulator"]["subscribe"].discard("voltage_command")
     wanted = {"simulator": {"subscribe": {"voltage_command"}}}
     assert policy.missing_rules(wanted, allowed) == wanted

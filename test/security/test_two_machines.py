@@ -1,4 +1,4 @@
-"""Another machine, a network namespace with memory of its own, against a bench on this one."""
+"""A second machine (a network namespace without shared memory) against a bench on this one."""
 
 import json
 import os
@@ -15,13 +15,13 @@ from sma_bench.ros.processes import RANGE, USERS_VARIABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCH, STRANGER = "10.77.16.1", "10.77.16.2"
-# Every way of a user to say that nodes are for this machine only, or nothing at all.
+# All settings with which nodes are local to this machine, and none at all.
 BOUND = {"default": {}, "range": {RANGE: "LOCALHOST"}, "only": {"ROS_LOCALHOST_ONLY": "1"},
          "peers": {"ROS_STATIC_PEERS": STRANGER}}  # fmt: skip
 OPEN = {"open": {RANGE: "SUBNET"}}
 NODE = [sys.executable, "-m", "sma_bench.nodes.start", "experiment"]
 PATIENCE = 90.0
-# Calls the stop of every namespace that it finds, for a while after the last one it waits for.
+# Calls `stop` in every namespace that it finds, until all awaited ones have answered, and longer.
 CALLER = """
 import json, sys, time
 import rclpy
@@ -54,7 +54,7 @@ def ip(words):
 
 @pytest.fixture
 def two_machines():
-    """Names of two network namespaces with a cable between them."""
+    """Names of two connected network namespaces."""
     if shutil.which("ip") is None or shutil.which("unshare") is None:
         pytest.skip("no ip, unshare here (Debian packages iproute2, util-linux)")
     first, second = names = [f"sma{os.getpid()}{side}" for side in "ab"]
@@ -77,7 +77,7 @@ def two_machines():
 
 
 def inside(namespace, command, variables=None, own_memory=False):
-    """Start a program on one of the machines, without a word about discovery but `variables`."""
+    """Start a program on one of the machines; of discovery only `variables` are set."""
     start = ["ip", "netns", "exec", namespace]
     if own_memory:
         mount = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
