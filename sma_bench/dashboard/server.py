@@ -285,7 +285,7 @@ class Wires:
             return f"NOT STOPPED, voltage is on: {still}. Use the emergency stop of the bench."
         if self._foreign:
             whose = ", ".join(f"{p}'s from {node}" for p, node in sorted(self._foreign.items()))
-            return f"Not confirmed: voltages come from nodes that take no commands, {whose}. Look."
+            return f"Not confirmed, voltages come from nodes that take no commands: {whose}. Look."
         if silent:
             return f"Not confirmed: no reading since the request from {silent}. Look at the bench."
         if self.stay_off:
@@ -337,7 +337,7 @@ async def stop(bench: Any) -> dict[str, Any]:
         answers.append({"node": node, "success": bool(answer and answer.success), "message": text,
                         "seconds": answered.get(node)})
     flowing = ", ".join(bench.state.flowing())
-    plug = f"PULL THE PLUG: current still flows with every output off, says {flowing}."
+    plug = f"PULL THE PLUG: current flows with every output off, reported by {flowing}."
     return {"stopped": wires.stay_off and not flowing,
             "said": plug if flowing else wires.sentence(bool(futures)),
             "seconds": round(wires.seconds, 4) if wires.stay_off else None,

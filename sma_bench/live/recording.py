@@ -45,7 +45,7 @@ class Recording:
         self._bag: BagWriter | None = None
         self._waiting: deque[tuple[str, int, bytes]] = deque()  # messages before a run
         self._latest, self._running = dict[str, int](), dict[str, bool]()  # ns; by topic
-        self._closed_at = 0  # ns, end of the last run and its margin
+        self._closed_at = 0  # ns: messages after this wait for a run
         self.failure: InputError | None = None
         self.output = ""
         self.topics, self.messages = dict[str, str](), dict[str, int]()

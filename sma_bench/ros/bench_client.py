@@ -110,8 +110,8 @@ class NodeCalls:
                      heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
                      needed: Collection[str] = ()) -> None:
         """Let the experiment node run a protocol while a recorder started here records it. If
-        anything ends this early, the experiment stops at 0 V and the unfinished bag keeps another
-        name. `protocol`: its file; `name`, `seconds`: its name and duration; `bag`: new folder;
+        anything ends this early, the experiment stops at 0 V, and the unfinished bag stays beside
+        `bag`. `protocol`: its file; `name`, `seconds`: its name and duration; `bag`: new folder;
         `heed`: called with the experiment's state some 20 times a second, may raise to end the run;
         `simulated_time`: whether the bench runs on /clock; `needed`: relative topics to be recorded
         before it starts. InputError: the experiment is not ready or aborts, or a node is gone."""

@@ -63,10 +63,10 @@ def start_ros(arguments: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def end_of_ros() -> Iterator[None]:
-    """Destroy this process's nodes in this context; then ROS is shut down so that no peer keeps
-    ghost nodes. The DDS participant ends with the last node, and a peer whose rmw_fastrtps reads
-    news of a node after that end adds the node again, for ever. So a hidden node without topics
-    stays until peers have read that the others are gone."""
+    """Destroy this process's nodes inside; then ROS shuts down without leaving ghosts in the graphs
+    of peers. The DDS participant ends with the last node, and a peer whose rmw_fastrtps reads news
+    of a node after that end adds the node again, for ever. So a hidden node without topics stays
+    until peers have read that the others are gone."""
     last = None
     if rclpy.ok():
         handle = rclpy.get_default_context().handle

@@ -294,7 +294,7 @@ def test_a_wire_that_aged_and_that_nobody_sees_is_as_hot_as_what_it_takes():
 
 
 def test_pulses_between_two_readings_heat_as_they_were_sent():
-    """Readings every 0.2 s sample pulses of the same period at one phase, always on or always off."""
+    """Readings every 0.2 s sample pulses of that period at one phase, always on or always off."""
     mean = 0.3 * 8.0**2 / R / LIMITS.heat_loss
     for phase, volt in ((0, 8.0), (10, 0.0)):
         bench, wire = Bench(feedback=[]), 0.0

@@ -136,7 +136,7 @@ class TestBench:
         messages.append(message)
 
     def stamped_after(self, messages, is_shown, cause, wait=None):
-        """ns from the first call of `cause` to the stamp of the first message that shows its effect;
+        """ns from the first call of `cause` to the stamp of the first message that shows it;
         `cause` is called repeatedly while waiting; `wait` replaces `until`."""
         seen, sent = len(messages), time.time_ns()
         (wait or self.until)(lambda: cause() or any(map(is_shown, messages[seen:])))

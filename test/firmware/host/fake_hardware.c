@@ -50,7 +50,7 @@ void outputs_off(void)
     prepared = false;
 }
 
-/* Without it a pulse that a stop cut off would go on when its output is connected again. */
+/* Without it a pulse cut off by a stop would continue when its output is connected again. */
 void outputs_prepare(void)
 {
     prepared = true;
@@ -125,7 +125,7 @@ bool store_is_ready(void)
     return !storing.is_under_way;
 }
 
-/* The chip would wait, or do nothing. */
+/* On the chip this would wait, or do nothing. */
 uint8_t store_read(uint8_t place)
 {
     if (!store_is_ready())
@@ -222,7 +222,7 @@ uint16_t stack_never_used(void)
     return 999;
 }
 
-/* --- the world -------------------------------------------------------------------------------- */
+/* --- the simulated bench ---------------------------------------------------------------------- */
 
 static void start(bool outlasted)
 {

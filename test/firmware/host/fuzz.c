@@ -51,7 +51,7 @@ static void demand_sane(void)
         demand(fake_output(channel) <= DUTY_LIMIT_Q16, "driven above the duty limit");
 }
 
-/* By chance an input may hold the number that arms. */
+/* An input may contain the arming nonce by chance. */
 static bool guessed(const uint8_t *bytes, uint32_t length)
 {
     char arming[20];
@@ -132,7 +132,7 @@ static uint32_t below(uint32_t end)
     return (uint32_t)(random_state >> 32) % end;
 }
 
-/* Anything but the number that arms: guessing it is not what is tested here. */
+/* Anything but the arming nonce: guessing it is not tested here. */
 static uint32_t some_number(bool armed)
 {
     static const uint32_t edges[] = {0, 1, 99, 100, 500, 10000, 10001, 32767, 65535, 65536};

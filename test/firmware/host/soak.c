@@ -1,5 +1,6 @@
-/* A sound bench under safety.c and session.c: four wires that warm and change phase, pulses as the
- * sensors see them, a supply that sags and dips. Prints `seconds cause` of every stop, then goes on.
+/* A bench without faults under safety.c and session.c: four wires that warm and change phase, pulses
+ * as the sensors see them, a supply that sags and dips. Prints `seconds cause` of every stop, then
+ * continues.
  *
  *   soak SEED SECONDS SUPPLY SOURCE DIP NOISE OFFSET DRIFT RESISTANCE AUSTENITE ROOM LOSS CAPACITY
  *        HIGHEST COMMAND
@@ -61,7 +62,7 @@ static uint16_t converted(double steps)
     return (uint16_t)fmin(fmax(floor(steps + 0.5), 0.0), 1023.0);
 }
 
-/* Both boards and the supply at the moments at which the converter meets them. */
+/* Readings of both boards and the supply at the times of the conversions. */
 static void measure(void)
 {
     uint32_t at = conversion++ * STEP % PHASES;
@@ -179,7 +180,7 @@ static void arm(const char *limits)
     }
 }
 
-/* Rest in more than half of the time: who heats for 15 minutes on end is cut as it should be. */
+/* At rest for more than half of the time, as heating for 15 minutes at a stretch is cut, rightly. */
 static void command(void)
 {
     char body[64];

@@ -17,7 +17,7 @@
         }                                                                   \
     } while (0)
 
-/* Defines a test, which puts itself into the list before main runs. */
+/* Defines a test, which adds itself to the list before main runs. */
 #define TEST(function)                                                      \
     static void function(void);                                             \
     static struct test listed_##function = {#function, function, NULL};     \
@@ -45,7 +45,7 @@ static void say(const char *body)
     fake_receive((const uint8_t *)text, (uint32_t)length);
 }
 
-/* True when the answer to `body` has `expected` in it. */
+/* True if the answer to `body` contains `expected`. */
 static bool answers(const char *body, const char *expected)
 {
     char sent[4096];
