@@ -159,7 +159,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
                            if q not in measured and (moves or q != "deflection")),
         record=tuple(dict.fromkeys(lines)),
         next_experiment=following if following and following.settles else None,
-        findings=(*ready.follows, *audit(parameters, papers_own=False),
+        findings=(*ready.response, *audit(parameters, papers_own=False),
                   *about_unstated(recalibrated.unknowns, parameters), *remarks),
         parameters=parameters, search=found, model=model, improved=improved,
         observations=tuple(observations), fitted=tuple(fitted), held_out=tuple(unfitted))

@@ -16,13 +16,14 @@ from sma_bench.records import contract
 from sma_bench.records.record import Record, Signal, Topic
 from sma_bench.records.storage import RawTopic, RawTopics, decompress_messages, read_storage
 
-_DAY_NS = 86_400 * 10**9  # a clock that shows less since 1970 is a simulation's
-_TWO_CLOCKS_NS = 10**9  # receive times farther off their stamps are another clock's
-_FEW_STAMPS = 15  # messages in a row, of which fewer than half wrong stamps move no other topic
-# A record may pause for a day, and ten times as long as it was recorded; beyond, a clock was set.
+_DAY_NS = 86_400 * 10**9  # smaller stamps are of a simulation, which counts from 0
+_TWO_CLOCKS_NS = 10**9  # a larger median of receive time minus stamp means two clocks
+_MEDIAN_OF = 15  # messages: up to 7 wrong stamps in a row do not move the topics without stamps
+# Pauses may add up to a day plus ten times the recorded time (steps of at most 10 s each). If they
+# are longer, a clock was set meanwhile, and the record is split at gaps: the longest ones first.
 _PAUSES_OF_RECORDED, _RECORDED_NS, _GAPS_S = 10, 10 * 10**9, (86_400, 3600, 600, 60, 10)
-_TEXT_BYTES, _MOST_MARKERS = 400, 100_000  # of a marker with all that is said of it; markers
-# Of each type of message: the columns made of it, and the field and joint that each is from.
+_MARKER_BYTES, _MOST_MARKERS = 400, 100_000  # memory of a marker and its objects; markers
+# By message type: (column, message field, joint) of each column.
 _PLAIN = {contract.BATTERY_STATE: "voltage current", contract.TEMPERATURE: "temperature variance",
           contract.RANGE: "range min_range max_range"}
 _COLUMNS = {kind: [(name, name, "") for name in names.split()] for kind, names in _PLAIN.items()}
@@ -39,8 +40,8 @@ class _Samples:
     type: str
     stamp: IntArray  # (n,) ns, header.stamp; the receive time for header-less types
     received: IntArray  # (n,) ns
-    is_stamped: bool  # whether the stamps are not the receive times
-    # (n,) or (n, k) by name, NaN where not measured; strings of a String topic
+    is_stamped: bool  # False if `stamp` is the receive time
+    # (n,) or (n, k) by name, NaN where not measured; strings for a String topic
     columns: dict[str, NDArray[np.generic]] = field(default_factory=dict)
 
     def keep(self, rows: Mask | IntArray) -> None:
@@ -50,10 +51,10 @@ class _Samples:
 
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
     """Read a rosbag2 folder (or .mcap or .db3 file, zstd-compressed or not) into named signals in
-    SI units, of topics below `namespace`. Time is `header.stamp`, in s since the first of the
-    record, or the receive time brought onto its clock. What was lost or put in order is in
-    `findings`. Raises InputError: nothing readable, two topics for one meaning, or one of another
-    type."""
+    SI units, from topics below `namespace`. Time is `header.stamp`, in s since the first stamp of
+    the record; for topics without stamps, the receive time shifted onto that clock. `findings`
+    lists what was lost or reordered. Raises InputError: nothing readable, two topics for one
+    meaning, or a topic of the bench that has the wrong type."""
     path, inside = Path(path), contract.inside
     bag = read_storage(path, lambda n, t: inside(n, namespace) and contract.is_decoded(n, t))
     found = list(bag.topics.values())
@@ -78,17 +79,16 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
             times, texts = ((samples.stamp - start) / 1e9).tolist(), samples.columns["data"]
             markers = tuple(zip(times, texts.tolist(), strict=True))[:_MOST_MARKERS]
             if len(texts) > len(markers):
-                text = f"{len(texts)} markers, the first {_MOST_MARKERS} are kept"
-                bag.remark(samples.topic, text)
+                bag.remark(samples.topic, f"{len(texts)} markers, only {_MOST_MARKERS} are kept")
             continue
         for signal in _signals(meaning, samples, start, bag):
             signals[signal.name] = signal
             made.setdefault(samples.topic, []).append(signal.name)
-    # What is absent is said; of one name with two types the one that was decoded is shown.
+    # Of two topics with one name but two types, the decoded one is listed.
     listed: dict[str, Topic] = {}
     for raw in sorted(found, key=lambda raw: raw.name):
         if raw.wanted and not raw.count:
-            bag.remark(raw.name, "declared, but without a message; absent", "info")
+            bag.remark(raw.name, "declared, but has no messages", "info")
         if raw.name not in listed or raw.wanted:
             listed[raw.name] = Topic(raw.type, raw.count, tuple(made.get(raw.name, ())))
     if not signals and not markers:
@@ -105,9 +105,9 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
     batches = list(decode(raw.data, lengths, raw.type, budget))
     columns, twice = samples.columns, Counter[str]()
     if raw.type == contract.STRING:
-        budget.take(_TEXT_BYTES * n)
+        budget.take(_MARKER_BYTES * n)
         columns["data"] = np.full(n, "", dtype=object)
-    elif raw.type == contract.MULTI_ARRAY:  # rows of the most common length
+    elif raw.type == contract.MULTI_ARRAY:  # rows of the most common length but 0
         sizes = [(b.columns["data"].size > 0, b.columns["data"].shape) for b in batches]
         width = max(sizes, default=(False, (0, 0)))[1][1] or 1
         budget.take(8 * n * width)
@@ -124,7 +124,7 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
             columns["data"][batch.rows] = batch.texts["data"][0]
         elif raw.type == contract.MULTI_ARRAY and found["data"].shape[1] == width:
             columns["data"][batch.rows] = found["data"]
-        joints = batch.texts.get("name", ("",))  # whose order may change
+        joints = batch.texts.get("name", ("",))  # their order may differ between messages
         twice.update({joint: len(batch.rows) for joint in joints if joints.count(joint) > 1})
         for name, source, joint in _COLUMNS.get(raw.type, ()):
             place = joints.index(joint) if joint in joints else -1
@@ -132,11 +132,11 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
                 budget.take(8 * n)
                 columns[name] = np.full(n, np.nan)
             if 0 <= place < found[source].shape[1]:
-                with np.errstate(invalid="ignore"):  # a NaN of another kind than Python's
+                with np.errstate(invalid="ignore"):  # signalling NaNs
                     columns[name][batch.rows] = found[source][:, place]
     for joint in contract.JOINT_SIGNALS:
         if count := twice[joint]:
-            text = f"{count} of {n} messages name {joint} twice; the first is taken"
+            text = f"{count} of {n} messages name joint {joint} twice; the first one is used"
             bag.remark(raw.name, text, messages=count)
 
     def keep(rows: Mask, what: str) -> None:
@@ -150,7 +150,7 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
         keep(unusable == 0, "have the wrong length, NaN or Inf; left out")
     unset = (samples.stamp == 0) & (samples.received > _DAY_NS)
     if is_stamped and len(unset) and unset.all():
-        text = "header.stamp is never set; the receive time is used in its place"
+        text = "header.stamp is never set; the receive time is used instead"
         bag.remark(raw.name, text, messages=len(unset))
         samples.stamp, samples.is_stamped = samples.received.copy(), False
     elif is_stamped and unset.any() and np.median(samples.stamp) > _DAY_NS:
@@ -167,18 +167,18 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
         order = np.argsort(reference.received, kind="stable")
         received = reference.received[order]
         zero = int(received[0])
-        ahead = (received - reference.stamp[order]).astype(np.float64)
-        ahead = median_filter(ahead, _FEW_STAMPS, mode="mirror")
+        delay = (received - reference.stamp[order]).astype(np.float64)
+        delay = median_filter(delay, _MEDIAN_OF, mode="mirror")
         known = (received - zero).astype(np.float64)
         for samples in (s for s in decoded if not s.is_stamped):
             at = (samples.received - zero).astype(np.float64)
-            samples.stamp = samples.received - np.interp(at, known, ahead).astype(np.int64)
+            samples.stamp = samples.received - np.interp(at, known, delay).astype(np.int64)
             off = f"receive times are {offset * 1e-9:.3f} s off the stamps of {reference.topic}"
-            text = f"{off}; this topic without stamps was moved onto their clock"
+            text = f"{off}; this topic has no stamps and was moved onto the clock of those"
             bag.remark(samples.topic, text, offset=offset * 1e-9)
     for samples in decoded:
         if backward := int(np.count_nonzero(np.diff(samples.stamp) < 0)):
-            text = f"{backward} stamps lie before the stamp received earlier; sorted"
+            text = f"{backward} stamps are earlier than the one received before them; sorted"
             bag.remark(samples.topic, text, backward=backward)
             samples.keep(np.argsort(samples.stamp, kind="stable"))
         repeated = np.diff(samples.stamp) == 0
@@ -186,10 +186,9 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
             text = f"{count} messages repeat the stamp of another; the first one received is kept"
             bag.remark(samples.topic, text, duplicates=count)
             samples.keep(np.concatenate(([True], ~repeated)))
-    # The stretch with most stamps is kept where a clock was set in the middle of the record.
     ends = [int(end) for s in decoded for end in (s.stamp[0], s.stamp[-1])]
     if not ends or max(ends) - min(ends) <= _DAY_NS:
-        return  # without sorting the stamps of all topics into one another
+        return  # saves sorting the stamps of all topics
     stamps = whole = np.sort(np.concatenate([s.stamp for s in decoded]))
     for gap in _GAPS_S:
         steps = np.diff(stamps)
@@ -204,16 +203,16 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
         far = " and ".join(f"up to {ns * 1e-9:.3g} s {way}" for way, ns in apart.items() if ns > 0)
         lost = len(whole) - len(stamps)
         text = f"{lost} of {len(whole)} messages are stamped {far} the others (was a clock set "
-        bag.remark("record", text + "meanwhile?) and are left out", messages=lost)
+        bag.remark("record", text + "during recording?) and are left out", messages=lost)
 
 
 def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> list[Signal]:
-    """The signals of one topic; one that is all NaN was not measured, which is said."""
+    """The signals of one topic; a column that is all NaN becomes no signal but a finding."""
     place, _, kind = meaning.rpartition("/")
     columns: dict[str, Array] = dict(samples.columns)  # type: ignore[arg-type]
     if kind == "joint_states" and not columns:
-        bag.remark(samples.topic, "no joint is called tip or wire; absent")
-    if kind == "range":  # REP-117; all are kept, being what the sensor said
+        bag.remark(samples.topic, "no joint is named tip or wire: no signal from this topic")
+    if kind == "range":  # REP-117; all are kept, as the sensor reported them
         found, low, high = (columns[name] for name in ("range", "min_range", "max_range"))
         remarkable = {
             "-Inf (too close)": np.isneginf(found), "+Inf (no target)": np.isposinf(found),
@@ -231,7 +230,7 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
         missing = np.isnan(values if values.ndim == 1 else values[:, 0])
         count = int(np.count_nonzero(missing))
         if count == len(values):
-            bag.remark(samples.topic, f"{name} is NaN throughout, not measured; absent", "info")
+            bag.remark(samples.topic, f"{name} is NaN throughout: it was not measured", "info")
             continue
         if count:
             text = f"{name} is NaN in {count} of {len(values)} messages; these are left out"
@@ -239,20 +238,21 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
         keep = ~missing if count else slice(None)
         values = values[keep] + contract.CELSIUS_ZERO if unit == "K" else values[keep]
         time, received = (((ns - start) / 1e9)[keep] for ns in (samples.stamp, samples.received))
-        known, std = stated > 0.0, None  # 0 is unknown: it counts as that of the others, if any
+        known, std = stated > 0.0, None  # variance 0 means unknown: the median of the others
         if known.any():
             std = np.sqrt(np.where(known, stated, np.median(stated[known])))[keep]
         signals.append(Signal(name, unit, time, values, received, samples.topic, std))
     return signals
 
 
-# --- Plain CDR of either byte order, whole topics at once: messages of one length and layout are a
-# matrix of bytes. One is walked; its counts and texts are guards, equal in all of the matrix.
+# --- Plain CDR in either byte order, decoded by topic: messages of equal length are the rows of a
+# matrix of bytes. The first row is parsed; rows with the same counts and texts (guards) as it have
+# the same layout, so that their numbers are columns of the matrix.
 
 _Field = tuple[str, str]
 _HEADER: tuple[_Field, ...] = (("stamp.sec", "i4"), ("stamp.nanosec", "u4"), ("frame_id", "string"))
-# Fields in order, up to the last one used. "x[]" is a sequence; "text" is a string whose content
-# matters, "string" one that is passed over; "dim[]" is std_msgs/MultiArrayDimension[].
+# Fields in order, up to the last one used. "x[]" is a sequence; "text" is a string that is read,
+# "string" one that is skipped; "dim[]" is std_msgs/MultiArrayDimension[].
 FIELDS: dict[str, tuple[_Field, ...]] = {
     contract.TEMPERATURE: (*_HEADER, ("temperature", "f8"), ("variance", "f8")),
     contract.BATTERY_STATE: (*_HEADER, ("voltage", "f4"), ("temperature", "f4"), ("current", "f4")),
@@ -265,8 +265,8 @@ FIELDS: dict[str, tuple[_Field, ...]] = {
 _ENCAPSULATION = 4
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _LAYOUTS_PER_LENGTH = 32
-# More than any message of a bench has: elements of texts and dimensions are walked one by one.
-_MOST_TEXTS, _MOST_NUMBERS, _LONGEST_TEXT = 256, 1024, 4096
+# More than any message of a bench has; texts and dimensions are parsed one by one, which is slow.
+_MOST_TEXTS, _MOST_NUMBERS, _LONGEST_TEXT = 256, 1024, 4096  # elements, elements, bytes
 
 
 class CdrError(Exception):
@@ -274,11 +274,11 @@ class CdrError(Exception):
 
 
 class _Layout(NamedTuple):
-    """Of one message: by field (offset, numpy type, elements); texts; what all share."""
+    """Where the fields of a message are."""
 
-    columns: dict[str, tuple[int, str, int]]
+    columns: dict[str, tuple[int, str, int]]  # offset, numpy type and elements, by field
     texts: dict[str, tuple[str, ...]]
-    guards: list[tuple[int, bytes]]
+    guards: list[tuple[int, bytes]]  # (offset, bytes) that messages of this layout have in common
 
 
 class Batch(NamedTuple):
@@ -290,16 +290,16 @@ class Batch(NamedTuple):
 
 
 def _find_layout(blob: bytes, msgtype: str) -> _Layout:
-    """Raises CdrError: the bytes do not follow the type."""
+    """Parse one message. Raises CdrError: the bytes do not follow the type."""
     order = _BYTE_ORDERS.get(blob[:2])
     if order is None or len(blob) < _ENCAPSULATION:
         raise CdrError("not plain CDR")
     layout, position = _Layout({}, {}, [(0, blob[:2])]), _ENCAPSULATION
 
     def step(size: int, count: int = 1) -> int:
-        """Offset of so many elements, which are passed over."""
+        """Skip `count` elements of `size` bytes; the offset of the first."""
         nonlocal position
-        if count:  # an empty sequence is not followed by the padding of its elements
+        if count:  # an empty sequence has no padding behind its count
             position += -(position - _ENCAPSULATION) % size
         start, position = position, position + size * count
         if position > len(blob):
@@ -335,7 +335,7 @@ def _find_layout(blob: bytes, msgtype: str) -> _Layout:
 
 def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
            budget: Budget) -> Iterator[Batch]:
-    """Messages of lengths (n,) bytes, but for those that cannot be decoded. Raises OverBudget."""
+    """Batches of messages, of lengths (n,) bytes, that can be decoded. Raises OverBudget."""
     ends = np.cumsum(lengths)
     for length in np.unique(lengths[lengths >= _ENCAPSULATION]).tolist():
         rows = np.flatnonzero(lengths == length)
@@ -352,7 +352,7 @@ def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
             except CdrError:
                 remaining = remaining[1:]
                 continue
-            # From some layouts on one message at a time: comparing all with each would take n^2.
+            # After many layouts one message at a time: comparing each with all would take n^2.
             some = remaining if layouts <= _LAYOUTS_PER_LENGTH else remaining[:1]
             alike = np.ones(len(some), dtype=bool)
             for offset, guard in layout.guards:
@@ -367,7 +367,7 @@ def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
 
 
 def encode(template: bytes, msgtype: str, columns: dict[str, Array]) -> list[bytes]:
-    """Copies of the message `template` with other numbers: by field (n,) or (n, elements)."""
+    """Copies of the message `template` with other numbers, (n,) or (n, elements) by field."""
     layout, n = _find_layout(template, msgtype), len(next(iter(columns.values())))
     matrix = np.tile(np.frombuffer(template, dtype=np.uint8), (n, 1))
     for name, values in columns.items():

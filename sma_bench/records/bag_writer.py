@@ -1,4 +1,4 @@
-"""Writes bags, message by message, readable whenever the writer dies, and signals by contract."""
+"""Writes bags: message by message (readable even if the writer dies), or whole from signals."""
 
 import dataclasses
 import errno
@@ -26,27 +26,27 @@ from sma_bench.records.record import Record, Signal
 from sma_bench.records.storage import METADATA, PROVENANCE
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-_FLUSH_EVERY = 0.5  # s: half of the second that may be lost, as the next message may be late
-_MESSAGES_A_REPORT = 50_000
+_FLUSH_EVERY = 0.5  # s; 1 s may be lost at most, and the message that triggers a flush may be late
+_MESSAGES_PER_REPORT = 50_000
 _EXISTS = "exists already, expected a new path for the bag"
-_STILL_READABLE = "; what was written until then can be read"
+_STILL_READABLE = "; what was written before can be read"
 _LATEST_STAMP = 2**31  # s after 1970
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
-    """An mcap bag that grows while it is recorded, from several threads if need be, flushed every
-    half second and by `flush`; one of a killed writer lacks its index, and is read. Raises
-    InputError: the path exists or cannot be written; what was written until then stays readable."""
+    """An mcap bag being recorded; thread-safe, flushed every half second and by `flush`. If the
+    writer is killed, the bag has no index but `read_record` reads it. Raises InputError: the path
+    exists or cannot be written; what was written before stays readable."""
 
     def __init__(self, path: str | Path, flush_every: float = _FLUSH_EVERY,
                  custom_data: Mapping[str, str] | None = None) -> None:
-        """`flush_every`: s; with inf the bytes depend on messages alone."""
+        """`flush_every`: s; with inf, equal messages give an equal file."""
         try:
             from mcap.writer import CompressionType, Writer
         except ModuleNotFoundError:
-            raise InputError("mcap is not installed, which writes bags: pip install mcap") from None
+            raise InputError("writing bags needs mcap: pip install mcap") from None
         self.path, self._lock = Path(path), threading.RLock()
-        self._ended: InputError | None = None  # what every call has, once closed or failed
+        self._ended: InputError | None = None  # raised by every call after a failure or `close`
         self._flush_every, self._next_flush = flush_every, 0.0
         self._custom_data = dict(custom_data or {})
         self._topics: dict[str, dict[str, Any]] = {}  # as metadata.yaml has them
@@ -64,7 +64,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self.flush()
 
     def add_topic(self, topic: str, msgtype: str) -> None:
-        """Announce a topic, or again. InputError: a type not of ROS 2 Jazzy, or not the topic's."""
+        """Announce a topic, once or again. InputError: the type is unknown or has changed."""
         with self._lock, self._disk():
             known = self._topics.get(topic, {"type": msgtype})["type"]
             if known != msgtype:
@@ -108,7 +108,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._next_flush = time.monotonic() + self._flush_every
 
     def close(self) -> None:
-        """Finish the bag with its index; again is harmless."""
+        """Finish the bag with its index; closing twice is harmless."""
         with self._lock:
             if self._ended is not None:
                 return
@@ -124,7 +124,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
-        """Turns what the disk refuses into one line, which every later call has too."""
+        """Turns an OSError into a one-line InputError, which every later call raises too."""
         if self._ended is not None:
             raise self._ended
         try:
@@ -132,7 +132,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         except OSError as error:
             reason = "the disk is full" if error.errno == errno.ENOSPC else error.strerror or error
             self._ended = InputError(f"{self.path}: cannot be written: {reason}{_STILL_READABLE}")
-            with suppress(OSError, AttributeError):  # a full disk does not take its buffer
+            with suppress(OSError, AttributeError):  # close() would flush to the full disk again
                 self._file.raw.close()
             raise self._ended from None
 
@@ -161,13 +161,13 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
                  provenance: Mapping[str, Any] | None = None, report: Report = silent,
                  replace: bool = False) -> None:
     """Write a record, or signals (by name or a sequence), as a bag in a new folder, which appears
-    whole or not at all; the same signals give the same bytes. Signals of one message type and place
-    share messages, NaN where one has no sample; voltage, current and range have about 7 digits.
+    complete or not at all; equal signals give an equal file. Signals of one topic share messages,
+    NaN where one has no sample; voltage, current and range are float32, about 7 digits.
 
-    `start_ns`: epoch of t = 0, else the record's own or 0; `markers`: (s, text), more than the
-    record's; `provenance`: `source`, `sha256` and `how`, for metadata.yaml; `replace`: what is at
-    the path, once the new bag is whole. Raises InputError: the path exists or cannot be written, a
-    signal has no place in the contract or times that cannot be stamped."""
+    `start_ns`: epoch of t = 0, by default the record's own or 0; `markers`: (s, text), added to the
+    record's; `provenance`: `source`, `sha256` and `how`, for metadata.yaml; `replace`: overwrite
+    the path once the new bag is complete. Raises InputError: the path exists or cannot be written,
+    a signal is not in the contract or has times that cannot be stamped."""
     path, texts, start = Path(path), list(markers), start_ns or 0
     if isinstance(source, Record):
         start = source.start_ns if start_ns is None else start_ns
@@ -185,17 +185,17 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
     messages = [(topic, stamp, blob) for topic, _, received, blobs in streams
                 for stamp, blob in zip(received.tolist(), blobs, strict=True)]
     messages.sort(key=lambda row: row[1])
-    parts = range(0, len(messages), _MESSAGES_A_REPORT)
+    parts = range(0, len(messages), _MESSAGES_PER_REPORT)
     with _beside(path, replace) as new, BagWriter(new, inf, custom) as writer:
         for topic, msgtype, *_ in streams:
             writer.add_topic(topic, msgtype)
         for first in in_turn(parts, report, lambda _: "writing"):
-            writer.write_many(messages[first : first + _MESSAGES_A_REPORT])
+            writer.write_many(messages[first : first + _MESSAGES_PER_REPORT])
 
 
 @contextmanager
 def _beside(path: Path, replace: bool) -> Iterator[Path]:
-    """A path to write to that becomes `path` when all went well."""
+    """A temporary path beside `path`, renamed to it if the block succeeds."""
     new = path
     try:
         if path.exists() and not replace:
@@ -211,7 +211,7 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
             new.rename(path)
             undo.pop_all()
     except InputError as error:
-        # Of a bag that appears whole or not at all nothing is left to read.
+        # The unfinished bag is deleted, so nothing of it can be read.
         text = str(error).removesuffix(_STILL_READABLE)
         raise InputError(text.replace(str(new), str(path))) from None
     except OSError as error:
@@ -225,7 +225,7 @@ _Stream = tuple[str, str, IntArray, list[bytes]]
 
 
 def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[_Stream]:
-    """The messages that carry signals, topic by topic; `start` is ns since the epoch of t = 0."""
+    """The messages that carry signals, by topic; `start`: epoch of t = 0 in ns."""
     groups: dict[str, dict[str, Signal]] = {}
     for name, signal in signals.items():
         if (carried := contract.topic_of(name)) is None:
@@ -242,7 +242,7 @@ def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[
 
 
 def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) -> _Stream:
-    """Signals of one topic as copies of a template; NaN where others of it alone have a value."""
+    """Signals of one topic as copies of a template, at all their times; NaN where one has none."""
     if msgtype == contract.MULTI_ARRAY:
         signal = columns["data"]
         values = signal.values.reshape(len(signal), -1)
@@ -285,7 +285,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
 
 
 def _stamps(name: str, times: Array, start: int) -> IntArray:
-    """Nanoseconds since the epoch of a signal's times in s."""
+    """A signal's times (n,) s as ns since the epoch."""
     if not np.isfinite(times).all():
         raise InputError(f"signal {name}: a time is not finite, expected seconds")
     seconds = times + start * 1e-9
@@ -297,7 +297,7 @@ def _stamps(name: str, times: Array, start: int) -> IntArray:
 
 
 def message(msgtype: str, **fields: Any) -> Any:
-    """A message of rosbags' classes of ROS 2 Jazzy; what is not given is zero or empty."""
+    """A ROS 2 Jazzy message as rosbags has it; fields not given are zero or empty."""
     from rosbags.convert.converter import default_message
     made: Any = default_message(TYPES, msgtype)
     return dataclasses.replace(made, **fields)

@@ -1,4 +1,4 @@
-"""What cells and titles of tables say, in any country's way, with the words of words.yaml."""
+"""Reads numbers, units, dates and titles in tables, in the notations of many countries."""
 
 import contextlib
 import math
@@ -25,7 +25,7 @@ PATTERNS = SimpleNamespace(**{k: re.compile(text) for k, text in WORDS["patterns
 
 
 class Unit(NamedTuple):
-    """What a unit measures, and value in SI = factor * value + offset."""
+    """The quantity of a unit; value in SI = factor * value + offset."""
 
     quantity: str
     factor: float
@@ -35,14 +35,14 @@ class Unit(NamedTuple):
         return values * self.factor + self.offset
 
 
-def said(sentence: str, **values: Any) -> str:
-    """One of the `sentences` of words.yaml with its values."""
-    return str(WORDS["sentences"][sentence]).format(**values)
+def message(key: str, **values: Any) -> str:
+    """One of the `sentences` of words.yaml, filled in."""
+    return str(WORDS["sentences"][key]).format(**values)
 
 
 @cache
 def parse_unit(text: str) -> Unit | None:
-    """The unit that a text names (`grad`: degree, `C`: Celsius), None if no bench measures it."""
+    """The unit a text means (`grad`: degree, `C`: Celsius); None if unknown or not of a bench."""
     plain = re.sub(r"[\s()\[\]{}]", "", text)
     lower = plain.lower().replace("µ", "u").replace("μ", "u")
     if not plain or len(plain) > 30:
@@ -52,7 +52,7 @@ def parse_unit(text: str) -> Unit | None:
             return Unit(quantity, factors[lower])
     name = WORDS["cased"].get(plain) or _SPELLINGS.get(lower)
     for word in (name,) if name else (plain, lower) if PATTERNS.unit.match(plain) else ():
-        with contextlib.suppress(Exception):  # pint raises its parser's and Python's own errors
+        with contextlib.suppress(Exception):  # pint raises errors of its parser and of Python
             import pint
             units = pint.get_application_registry()
             zero, one = (units.Quantity(value, word) for value in (0.0, 1.0))
@@ -63,11 +63,11 @@ def parse_unit(text: str) -> Unit | None:
     return None
 
 
-_STATED = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # by a test, in SI, where thousands may be
+_PLAUSIBLE = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # in SI: decides if 1,200 is 1.2 or 1200
 
 
 def number_with_unit(text: str, quantity: str) -> float | None:
-    """In SI, the first number of a text with such a unit, part of no name or range; or None."""
+    """The first number with a unit of `quantity`, in SI; None if there is none or it is unclear."""
     parted = (text.partition(mark) for mark in ":=")
     key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
     units = (unit for unit in re.findall(r"[/(\[]\s*([^\s)\]:]+)", key) if parse_unit(unit))
@@ -84,11 +84,11 @@ def number_with_unit(text: str, quantity: str) -> float | None:
             ways.pop()
         for written in ways:
             shown = decimal_signs([written])
-            is_open = shown == {"?,"} or (shown == {"?."} and quantity in _STATED)
-            for decimal in ",." if is_open else (*shown, ".")[0][-1]:
+            is_ambiguous = shown == {"?,"} or (shown == {"?."} and quantity in _PLAUSIBLE)
+            for decimal in ",." if is_ambiguous else (*shown, ".")[0][-1]:
                 amount = float(numbers_of([written], decimal, "")[0][0])
                 values.append(amount * unit.factor + unit.offset)
-        least, most = _STATED.get(quantity, (math.inf, 0.0))
+        least, most = _PLAUSIBLE.get(quantity, (math.inf, 0.0))
         values = [v for v in values if len(values) == 1 or least <= v <= most]
         return values[0] if len(values) == 1 and math.isfinite(values[0]) else None
     return None
@@ -105,7 +105,7 @@ def words_of(title: str) -> list[str]:
 
 @lru_cache(maxsize=4096)
 def title_meanings(title: str) -> tuple[str, ...]:
-    """Quantities that a title without its unit may mean; () where it says nothing known."""
+    """Quantities that a title without its unit may mean; () if unknown."""
     whole = re.sub(r"\s+run\s?#?\d+\Z", "", title.strip(), flags=re.IGNORECASE)
     room = set(WORDS["room"]) & set(words_of(whole))
     last = whole if room else re.split(r"[/.](?=\D)", whole)[-1].strip()
@@ -113,7 +113,7 @@ def title_meanings(title: str) -> tuple[str, ...]:
         words = words_of(text)
         if text == "t" or words in (["t", "rel"], ["t", "abs"]):
             return ("time",)
-        if words in (["t", "f"], ["t", "b"]):  # of the front, of the back
+        if words in (["t", "f"], ["t", "b"]):  # front and back
             return ("temperature",)
         if set(text) == {"#"} or (words and set(words) <= set(WORDS["counters"])):
             return ("counter",)
@@ -128,13 +128,13 @@ def title_meanings(title: str) -> tuple[str, ...]:
 
 
 def fits(meaning: str, quantity: str) -> bool:
-    """Whether a column of that meaning may be measured in units of that quantity."""
+    """True if a column of that meaning may have units of that quantity."""
     return quantity in QUANTITIES[meaning].get("units", [quantity])
 
 
 @lru_cache(maxsize=4096)
 def meanings(title: str, unit: str) -> tuple[str, ...]:
-    """What a column may be by title and unit, the most telling first; () where nothing is known."""
+    """What a column may be by title and unit, the most likely first; () if unknown."""
     meant, known = title_meanings(title), parse_unit(unit)
     if known is None:
         return meant
@@ -149,9 +149,9 @@ def meanings(title: str, unit: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=4096)
 def split_title(title: str, below: str = "") -> tuple[str, str]:
-    """Title and unit: of the row `below`, in brackets, after a slash or comma, or after an
-    underscore or blank if it fits the title (LVDT_A is no current). One with a factor is not
-    known."""
+    """Title and unit. The unit is `below` if given, or stands in brackets, after a slash or comma,
+    or after an underscore or blank if it fits the title (the A of LVDT_A is no ampere). A factor
+    (x10) stays with the unit, which is then unknown."""
     text = " ".join(title.split())
     if len(text) < 200 and (factor := PATTERNS.factor.search(text)):
         name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}", below)
@@ -173,7 +173,7 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
         known = parse_unit(unit) if name else None
         is_open = any(name.count(mark) != name.count(end) for mark, end in ("()", "[]", "{}"))
         is_side = mark == "_" and len(name) == 1 and unit.lower() in ("f", "b")
-        if known is None or is_open or is_side or unit.lower() == "adc":  # counts of a converter
+        if known is None or is_open or is_side or unit.lower() == "adc":  # not volts, but counts
             continue
         meant = title_meanings(name)
         sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
@@ -191,7 +191,7 @@ _SHAPE = str.maketrans("23456789", "11111111")
 
 @lru_cache(maxsize=65536)
 def _parts(cell: Any) -> tuple[str, str, str] | None:
-    """Number with its marks, power and unit; None for other text."""
+    """Number as written, exponent and unit; None for other text."""
     found = PATTERNS.number.match(cell) if isinstance(cell, str) else None
     unit = found["unit"] or "" if found else ""
     if found is None or (unit and unit not in WORDS["prefixes"] and parse_unit(unit) is None):
@@ -202,7 +202,7 @@ def _parts(cell: Any) -> tuple[str, str, str] | None:
 
 @lru_cache(maxsize=65536, typed=True)
 def cell_kind(cell: Any) -> str:
-    """Say "n" for a number, "d" a moment, "t" text, "" nothing or what stands for it."""
+    """Kind of a cell: "n" number, "d" date or clock time, "t" text, "" missing value."""
     try:
         return "n" if math.isfinite(float(cell)) else ""
     except ValueError:
@@ -211,13 +211,13 @@ def cell_kind(cell: Any) -> str:
 
 
 def is_number_row(cells: Sequence[Any]) -> bool:
-    """Whether two cells or more hold more numbers and moments than texts."""
+    """True for two or more cells with more numbers, dates and times than texts."""
     kinds = [cell_kind(cell) for cell in cells] if len(cells) > 1 else []
     return kinds.count("n") + kinds.count("d") > kinds.count("t")
 
 
 def decimal_signs(cells: Iterable[Any]) -> set[str]:
-    """Decimal signs of cells, "." and ","; "?." and "?," where a mark may be of thousands."""
+    """Decimal signs of cells: "." and ","; "?." and "?," if they may separate thousands (1.069)."""
     shown: set[str] = set()
     for shape in {cell.translate(_SHAPE) for cell in cells if isinstance(cell, str)}:
         body = (_parts(shape) or ("",))[0].lstrip("-")
@@ -228,31 +228,31 @@ def decimal_signs(cells: Iterable[Any]) -> set[str]:
         elif len(marks) > 1:
             shown.add("," if marks[-1] == "." else ".")
         elif marks:
-            is_open = len(digits) == 3 and 0 < len(whole) <= 3 and not whole.startswith("0")
-            shown.add("?" * is_open + marks[-1])
+            is_ambiguous = len(digits) == 3 and 0 < len(whole) <= 3 and not whole.startswith("0")
+            shown.add("?" * is_ambiguous + marks[-1])
     return shown
 
 
 def decimal_of(label: str, shown: set[str], everywhere: set[str], cells: Sequence[Any]) -> str:
-    """The decimal sign of a column, by its own cells or by the others' where those say one."""
-    own, open_ = ({sign[-1] for sign in shown if len(sign) == size} for size in (1, 2))
-    is_open = open_ == {"."} and not everywhere and _may_count(cells)
+    """The decimal sign of a column, by its own cells, else the others'. InputError: ambiguous."""
+    own, unsure = ({sign[-1] for sign in shown if len(sign) == size} for size in (1, 2))
+    is_ambiguous = unsure == {"."} and not everywhere and _may_be_thousands(cells)
     if len(own) == 2:
         raise InputError(f"{label} has decimal points and decimal commas, expected one of them")
-    if own or not open_ or (open_ == {"."} and everywhere <= {"."} and not is_open):
+    if own or not unsure or (unsure == {"."} and everywhere <= {"."} and not is_ambiguous):
         return own.pop() if own else "."
-    if open_ == {","} and len(everywhere) == 1:
+    if unsure == {","} and len(everywhere) == 1:
         return next(iter(everywhere))
     marked = {cell for cell in set(cells) if decimal_signs([cell])}
     bare = {str(c).lstrip("-") for c in set(cells) - marked if cell_kind(c) == "n"}
-    is_open |= len(open_) == 2 or bool(everywhere & open_)
-    if bare - {"0"} and max(map(len, bare)) < 4 and not is_open:
-        return "." if open_ == {","} else ","  # 980 and 1,069: thousands
-    raise InputError(said("open_sign", label=label, cell=min(marked)))
+    is_ambiguous |= len(unsure) == 2 or bool(everywhere & unsure)
+    if bare - {"0"} and max(map(len, bare)) < 4 and not is_ambiguous:
+        return "." if unsure == {","} else ","  # 980 and 1,069: thousands
+    raise InputError(message("open_sign", label=label, cell=min(marked)))
 
 
-def _may_count(cells: Sequence[Any]) -> bool:
-    """Whether the dots of a column may be of thousands: 985 and 1.069, and no other form."""
+def _may_be_thousands(cells: Sequence[Any]) -> bool:
+    """True if a column holds numbers like 985 and 1.069 only, whose dots may separate thousands."""
     forms: set[Any] = set()
     for cell in cells:
         form = PATTERNS.dotted.match(cell) if isinstance(cell, str) else None
@@ -263,16 +263,16 @@ def _may_count(cells: Sequence[Any]) -> bool:
 
 
 def plain_numbers(cells: Sequence[Any]) -> Array | None:
-    """Values (n,) of cells that are all numbers as Python alone writes them, else None."""
+    """Values (n,) of cells that float() reads; None if it cannot, or dots may mean thousands."""
     try:
         values = np.array([float(cell) for cell in cells])
     except (TypeError, ValueError):
         return None
-    return None if _may_count(cells) else np.where(np.isfinite(values), values, np.nan)
+    return None if _may_be_thousands(cells) else np.where(np.isfinite(values), values, np.nan)
 
 
 def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, str, int]:
-    """Values (n,), NaN where missing; their unit, else the cells'; index of no number, else -1."""
+    """Values (n,), NaN where missing; `unit` or that in the cells; index of a bad cell, else -1."""
     if decimal == "," and not any("." in str(cell) for cell in cells):
         values = plain_numbers([str(cell).replace(",", ".") for cell in cells])
         if values is not None:
@@ -303,7 +303,7 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
 
 
 def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
-    """Values (n,) of which each has its unit, in the first one, and that; None if they differ."""
+    """Values (n,), each in its own unit, in the first unit; and that. None if the units differ."""
     known = [unit for text in texts if (unit := parse_unit(str(text)))]
     if len(known) < len(texts) or len({unit[::2] for unit in known}) > 1:
         return None
@@ -311,22 +311,23 @@ def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
 
 
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
-_DAY, _HOLE = 86_400.0, 14.0  # s; days that a run does not pause
+_DAY = 86_400.0  # s
+_LONGEST_PAUSE = 14.0  # days, of a run: a longer one means that day and month are swapped
 _EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
 
 
 class Moment(NamedTuple):
-    """The time that a cell writes."""
+    """A date, a clock time or both, as written in a cell."""
 
-    days: tuple[float, float]  # since 1970: the day first, the month first; NaN where it cannot be
-    seconds: float | None  # of the day, None without a clock
-    fields: int = 3  # of its clock
+    days: tuple[float, float]  # since 1970, read day first and month first; NaN where impossible
+    seconds: float | None  # of the day; None without a clock time
+    fields: int = 3  # of the clock time: 1 for mm:ss.s, 2 for hh:mm or mm:ss, 3 for all others
     am_pm: bool = False
 
 
 @lru_cache(maxsize=65536)
 def moment_of(cell: Any) -> Moment | None:
-    """The moment that a cell writes, None for other text."""
+    """The date or clock time written in a cell; None for other text."""
     is_text = isinstance(cell, str) and 4 <= len(cell) <= 40
     found = PATTERNS.moment.match(cell.strip()) if is_text else None
     if found is None or not found[0]:
@@ -334,7 +335,7 @@ def moment_of(cell: Any) -> Moment | None:
     written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
     orders: list[tuple[str, Any, str]] = []
     year, days = f"20{c}"[-4:] if written else "", [math.nan, math.nan]
-    if written and a.isdigit() != b.isdigit():  # a month by its name
+    if written and a.isdigit() != b.isdigit():  # the month is a name
         name, number = (b, a) if a.isdigit() else (a, b)
         orders = [(year, _MONTHS.get(plain_title(name)[:3], 0), number)]
     elif written and written == mark.join((a, b, c)) and len(mark.strip()) == 1:
@@ -349,7 +350,7 @@ def moment_of(cell: Any) -> Moment | None:
     if h is None:
         return Moment(both, None)
     hours = int(h) % 12 + 12 * (half[0] in "pP") if half else int(h)
-    is_short = not s and not written and not half  # mm:ss or hh:mm; mm:ss.s leaves no doubt
+    is_short = not s and not written and not half  # hh:mm or mm:ss, with a fraction mm:ss.s
     total = (hours * 60.0 + int(m)) * (1.0 if is_short else 60.0) + float(f"{s or 0}.{broken or 0}")
     if zone and zone[0] in "+-":
         total -= float(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
@@ -358,10 +359,11 @@ def moment_of(cell: Any) -> Moment | None:
 
 def moments_of(cells: Sequence[Any],
                dates: Sequence[Any] | None = None) -> tuple[Array, float | None, int, str] | None:
-    """Seconds (n,) since the first cell, NaN where missing; its epoch where cells or `dates` say
-    one; the fewest fields of a clock; and a remark. None where a cell is no moment."""
+    """Times of cells: seconds (n,) since the first one, NaN where missing; the epoch of the first
+    if they or `dates`, a second column, have dates; the fewest `Moment.fields`; a remark. None if
+    a cell is neither date nor time."""
     if dates is None and PATTERNS.iso.match(str(cells[0])):
-        with contextlib.suppress(ValueError):  # of what is written otherwise
+        with contextlib.suppress(ValueError):  # a cell in another form
             stamps = np.array(cells, dtype="datetime64[ns]")
             seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
             return seconds, float(stamps[0].astype(np.int64)) / 1e9, 3, ""
@@ -370,18 +372,18 @@ def moments_of(cells: Sequence[Any],
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found
     if not found or not len(found) == len(dated) == len(there):
         return None
-    # 03/10/2026 is October 3rd or March 10th: AM and PM, an order that goes back or a hole tell.
-    first, second = np.array([m.days for m in dated]).T  # the day first, the month first
+    # 03/10/2026 is October 3rd or March 10th: AM/PM, dates that go back or a long pause decide.
+    first, second = np.array([m.days for m in dated]).T  # day first, month first
     day, remark = np.where(np.isnan(first), second, first), ""
     can_be = [bool(np.isfinite(order).all()) for order in (first, second)]
     forward = [bool(np.all(np.diff(order) >= 0.0)) for order in (first, second)]
-    holes = [np.diff(order).max(initial=0.0) for order in (first, second)]
-    is_next = all(forward) and holes[0] > _HOLE and holes[1] <= 1.0
+    pauses = [np.diff(order).max(initial=0.0) for order in (first, second)]
+    is_next = all(forward) and pauses[0] > _LONGEST_PAUSE and pauses[1] <= 1.0
     if can_be[1] and (not can_be[0] or found[0].am_pm or forward == [False, True] or is_next):
         day = second
     text = str((dates or cells)[there[0]]).split()[0]
-    is_open = re.match(r"\d\d?([-/])\d\d?\1\d\d(?!\d)", text)  # 26/03/01: the year first or last
-    if is_open or (all(can_be) and forward[0] == forward[1]):
+    has_short_year = re.match(r"\d\d?([-/])\d\d?\1\d\d(?!\d)", text)  # 26/03/01: first or last?
+    if has_short_year or (all(can_be) and forward[0] == forward[1]):
         remark = f"{text} is taken as {date.fromordinal(int(day[0]) + _EPOCH)}"
     is_absolute = bool(np.isfinite(day).all())
     total = (_DAY * day if is_absolute else 0.0) + np.array([m.seconds or 0.0 for m in found])
@@ -393,14 +395,14 @@ def moments_of(cells: Sequence[Any],
 
 
 def spread_stamps(time: Array, where: str) -> tuple[Array, str]:
-    """Increasing times (n,) in s of stamps coarser than rows, a remark; InputError if all equal."""
+    """Times (n,) s in which repeated stamps are spread, and a remark. InputError: all are equal."""
     stamps, first, count = np.unique(time, return_index=True, return_counts=True)
     rows = len(time)
     if len(stamps) < 2:
         raise InputError(f"{where}: all {rows} rows are at one time, expected a running clock")
     step = float(np.diff(stamps).min())
-    remark = said("spread", repeated=rows - len(stamps), rows=rows, step=step)
-    if np.median(count) > 1.0 and len(stamps) > 2:  # a line through all, if rows came evenly
+    remark = message("spread", repeated=rows - len(stamps), rows=rows, step=step)
+    if np.median(count) > 1.0 and len(stamps) > 2:  # one straight line, if rows came evenly
         period = float(stamps[-1] - stamps[1]) / float(first[-1] - first[1])
         even = period * np.arange(rows)
         even += float(np.max(time - even))

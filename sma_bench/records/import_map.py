@@ -1,5 +1,5 @@
-"""From columns of another logger to signals of the contract: a map says which column each is, in
-which unit, on which clock, with which zero and sign; `propose` makes one, with its questions."""
+"""Imports tables of other loggers: a map gives column, unit, clock, zero and sign of each signal;
+`propose` makes a map of a table, with questions."""
 
 import contextlib
 import os
@@ -20,31 +20,31 @@ from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records import cells, contract
-from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, Unit, parse_unit, said
+from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, Unit, message, parse_unit
 from sma_bench.records.record import Record, Signal, ohms_of_source
 from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 
-ASK, ROWS = "ask", "row number"  # the clock of a table without one, in periods, "0.1 s"
+ASK, ROWS = "ask", "row number"  # the latter: clock of a table without time, its period as unit
 _MOVES, _DRIVES = {"elongation", "deflection", "force"}, {"voltage", "current"}
-_LITTLE = 0.02  # beyond 0 to 1 that a duty may be read; of the largest drive that drives nothing
+_LITTLE = 0.02  # tolerance of a duty beyond 0 to 1; drives below this share of the largest are off
 _FORMS = {"voltage": ("rms", "mean", "duty", "power"), "current": ("rms", "mean", "peak")}
-_DIRECT = ("rms", "power")  # not of a switched supply
-# Times as far one way as the other; of all its way, a position's scatter before the first drive.
-_CLEAR, _AT_REST = 3.0, 0.1
-_UNKNOWN = "its title and unit say nothing of a bench"
-_MOST = 1e9  # that a number of a map may be, in its unit
+_DIRECT = ("rms", "power")  # forms that need no supply voltage
+_CLEAR = 3.0  # motion one way over the other way, from which heat decides its sign
+_AT_REST = 0.1  # of the whole motion: a larger scatter before the first drive is no rest
+_UNKNOWN = "title and unit not known"
+_MOST = 1e9  # largest number in a map, in its unit
 _Number = Annotated[float, msgspec.Meta(ge=-_MOST, le=_MOST)]
 _Positive = Annotated[float, msgspec.Meta(gt=0.0, le=_MOST)]
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """One signal: sign * (scale * column in its unit + offset) - reference, in SI or "rest" before
-    the first drive. What a proposal asks is "ask"."""
+    """One signal = sign * (scale * column in its unit + offset) - reference, in SI; the reference
+    "rest" is the value before the first drive. Unanswered questions of a proposal are "ask"."""
 
     signal: str  # of the contract
-    column: str  # as the file has it
+    column: str  # its name in the file
     unit: str  # of the column
-    clock: str  # the column of its time
+    clock: str  # the column of its times
     scale: _Number = 1.0
     offset: _Number = 0.0  # in SI
     sign: Literal[1, -1, "ask"] = 1
@@ -53,27 +53,27 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
 
     @property
     def kind(self) -> str:
-        """What the signal is of its channel: voltage, current, temperature."""
+        """Last part of the signal's name, such as voltage or elongation."""
         return self.signal.rpartition(".")[2]
 
     @property
     def measured(self) -> Unit:
-        """The unit of its column; one that is not known yet counts as SI."""
+        """The unit of its column; SI if not known yet."""
         return parse_unit(self.unit) or Unit("", 1.0)
 
 
 class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Clocks (column -> unit), signals, and what the bench supplies."""
+    """How to make signals from a table: clocks, signals, and numbers of the bench."""
 
-    time: dict[str, str]
+    time: dict[str, str]  # clocks: column and unit
     signals: Annotated[tuple[Entry, ...], msgspec.Meta(min_length=1)]
-    supply_voltage: _Positive | None = None
-    resistance: _Positive | None = None  # of a channel, by which watts are written as V and A
-    lever: _Positive | None = None
+    supply_voltage: _Positive | None = None  # V, of a switched supply
+    resistance: _Positive | None = None  # ohm, of a channel, to write watts as V and A
+    lever: _Positive | None = None  # m/rad, to write angles as elongations
     ignored: tuple[str, ...] = ()
 
     def tick(self, clock: str) -> float:
-        """s in one of a clock, or of rows the period between them; 0 where it is not known."""
+        """Unit of a clock in s, or the period of rows; 0 if not known."""
         unit = parse_unit(self.time[clock])
         if clock == ROWS:
             return cells.number_with_unit(self.time[clock], "time") or 0.0
@@ -81,25 +81,25 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
 
 
 def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> str:
-    """The map as commented YAML."""
+    """The map as YAML, with `remarks` by column as comments."""
     used = {entry.column for entry in made.signals}
     about = {c.name: [c.span if c.name in used else "not used"] for c in table.columns}
     for name, remark in remarks.items():
         about.setdefault(name, []).append(remark)
-    lines = [said("map", source=f"{printable(table.path.name)} ({table.format})")]
+    lines = [message("map", source=f"{printable(table.path.name)} ({table.format})")]
     lines += [printable(f"# {name}: {'; '.join(texts)}") for name, texts in about.items()]
     keys = yaml.safe_dump(msgspec.to_builtins(made), sort_keys=False, allow_unicode=True, width=999)
     return "\n".join([*lines, keys])
 
 
 def read_map(path: str | Path) -> ImportMap:
-    """The map of a file. InputError: it is none, or still to be filled in."""
+    """The map in a file. InputError: it is not a map, or not filled in."""
     try:
         made = msgspec.convert(read_yaml(path), ImportMap)
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: not a map: {printable(str(error))}") from None
     rules: Any = [(f"time: {clock}: unit", unit, 0.0 < made.tick(clock) < _MOST, "a unit of time, "
-                   "or of rows a period such as 0.1 s") for clock, unit in made.time.items()]
+                   "or for rows a period such as 0.1 s") for clock, unit in made.time.items()]
     names = [entry.signal for entry in made.signals]
     for k, entry in enumerate(made.signals, 1):
         where = f"signals: {k} ({printable(entry.signal)}): "
@@ -128,18 +128,18 @@ def read_map(path: str | Path) -> ImportMap:
 
 class _Samples(NamedTuple):
     time: Array  # (n,) s
-    values: Array  # (n,) in SI, without what is missing
-    how: str = ""  # they came about
+    values: Array  # (n,) in SI, without NaN
+    how: str = ""  # they were made, for a sentence
 
 
 def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list[str]]:
-    """The record at a path, from a table by its map, and a sentence on each signal. InputError: a
-    column is not there, a clock goes back or stands still, a duty is beyond 1, or no values."""
+    """The record (with that path) from a table by its map, and a sentence on each signal. Raises
+    InputError: a column is missing or empty, a clock goes back or stops, a duty is beyond 1."""
     read, base = _read(table, made)
     first = min(float(samples.time[0]) for samples in read.values())
-    # Of a switched supply: the direct volts, then amperes of the same heat, duty * supply^2.
+    # For a switched supply the direct voltage of the same heat, supply * sqrt(duty), then currents.
     supply = made.supply_voltage or 1.0
-    roots: dict[str, tuple[Array, Array]] = {}  # of the duty, by channel
+    roots: dict[str, tuple[Array, Array]] = {}  # times and sqrt(duty), by channel
     signals, sentences = {}, []
     for entry in sorted((e for e in read if e.form != "rms"), key=lambda e: e.kind == "current"):
         (time, values, spread), where = read[entry], f"{table.path}: {entry.column}"
@@ -147,7 +147,7 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
         if entry.form == "power":
             if values.min() < -_LITTLE * values.max():
                 raise InputError(f"{where}: power of {values.min():.4g} W, expected 0 or more")
-            ohms, how = made.resistance or 1.0, said("as_power")
+            ohms, how = made.resistance or 1.0, message("as_power")
             values = np.sqrt(np.maximum(values, 0.0) * ohms)
             name = f"{channel}.current"
             signals[name] = Signal(name, "A", time - first, values / ohms)
@@ -158,18 +158,18 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
                 raise InputError(f"{where}: duty of {low:.4g} to {high:.4g}, expected 0 to 1")
             root = np.sqrt(np.clip(duty, 0.0, 1.0))
             roots[channel] = time, root
-            how = said("as_duty" if entry.form == "duty" else "as_mean", supply=supply)
+            how = message("as_duty" if entry.form == "duty" else "as_mean", supply=supply)
             values = sign * supply * root
         elif channel in roots:
-            root, how = np.interp(time, *roots[channel]), said("as_current", form=entry.form)
+            root, how = np.interp(time, *roots[channel]), message("as_current", form=entry.form)
             factor = root if entry.form == "peak" else 1.0 / np.where(root > _LITTLE, root, 1.0)
             values = values * factor
         else:
-            raise InputError(f"{where}: {said('no_duty', form=entry.form)}")
+            raise InputError(f"{where}: {message('no_duty', form=entry.form)}")
         read[entry] = _Samples(time, values, how + spread)
     for entry, samples in read.items():
         zero, sentence = 0.0, f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
-        sentence += ", counted the other way" if entry.sign == -1 else ""
+        sentence += ", sign inverted" if entry.sign == -1 else ""
         if (entry.scale, entry.offset) != (1.0, 0.0):
             sentence += f", x {entry.scale:g} + {entry.offset:g}"
         if entry.reference == "rest":
@@ -186,17 +186,17 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
 
 
 def require_columns(table: TableFile, names: Iterable[str]) -> None:
-    """InputError where a file has no column of such a name."""
+    """InputError if a file has no column of one of these names."""
     held = [column.name for column in table.columns]
     if wrong := next((name for name in names if name not in (*held, ROWS)), None):
         raise InputError(f"{table.path}: no column {wrong!r}, it has {', '.join(held[:12])}")
 
 
 def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], float]:
-    """What each entry reads, its sign in it, and the epoch that times count from, 0 without."""
+    """Samples of each entry, sign applied, and the epoch (s) of time 0; 0 if there are no dates."""
     require_columns(table, [*made.time, *(entry.column for entry in made.signals)])
     columns = {column.name: column for column in table.columns}
-    starts = {name: columns[name].start for name in made.time if name in columns}  # of moments
+    starts = {name: columns[name].start for name in made.time if name in columns}  # of dates
     base = min((start for start in starts.values() if start is not None), default=0.0)
     read = {}
     for entry in (entry for entry in made.signals if entry.clock != ASK):
@@ -214,9 +214,9 @@ def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], flo
         steps, spread = np.diff(time[kept]), ""
         for row in np.flatnonzero(steps < 0)[:1]:
             a, b = time[kept][row : row + 2]
-            raise InputError(f"{where}: {said('goes_back', a=a, b=b, row=row + 2)}")
+            raise InputError(f"{where}: {message('goes_back', a=a, b=b, row=row + 2)}")
         if np.any(steps == 0.0):
-            # Columns with few gaps share the stamps of all rows: none lags behind another.
+            # Columns with few gaps get the same spread stamps, so that none lags behind another.
             is_full = kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0)
             rows = np.ones_like(kept) if is_full else kept
             time[rows], spread = cells.spread_stamps(time[rows], where)
@@ -228,7 +228,7 @@ def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], flo
 
 
 def _at_rest(read: Mapping[Entry, _Samples], samples: _Samples) -> Array:
-    """Of the values those before the first voltage or current sets in; one at least."""
+    """The values before the first voltage or current sets in; at least one."""
     begins = []
     for entry, drive in read.items():
         driven = np.abs(drive.values) > _LITTLE * np.abs(drive.values).max()
@@ -253,31 +253,31 @@ def account_of(table: TableFile, made: ImportMap, remarks: Mapping[str, str],
 
 
 def record_of_table(path: str | Path, bench: Parameters, stated: Mapping[str, str]) -> Record:
-    """The record of a logger's table. InputError: it is none, or one with a question."""
+    """The record in a logger's table. InputError: it is no table, or its map has a question."""
     table = read_table_file(path)
     made, questions, remarks = propose(table, bench, stated)
     if questions:
-        raise InputError(f"{path}: unsure of {questions[0]}; units= or params= may tell")
+        raise InputError(f"{path}: unsure of {questions[0]}; units= or params= may answer")
     account = Finding("info", "account", str(account_of(table, made, remarks)))
     return replace(convert(table, made, Path(path))[0], findings=(account,))
 
 
 def propose(table: TableFile, bench: Parameters,
             stated: Mapping[str, str]) -> tuple[ImportMap, list[str], dict[str, str]]:
-    """A map of a table, with units `stated` of its columns, questions and remarks by column.
-    InputError: a column is not there."""
+    """A map of a table, questions, and remarks by column; `stated`: units by column. InputError: a
+    column is missing."""
     require_columns(table, stated)
     columns = [replace(c, unit=stated[c.name], fields=0) if stated.get(c.name) else c
                for c in table.columns]
     proposal = _Proposal(bench)
     ask, remarks = proposal.ask, proposal.remarks
     meant = {column.name: proposal.meaning(column) for column in columns}
-    # Watts drive where the bench says so: a wire's resistance is not in them.
+    # Power drives only if the bench says so: volts and amperes show the resistance, watts do not.
     drive = bench["bench.drive"]
     if "power" in meant.values():
         unused = {*_DRIVES, "duty"} if drive == "power" else {"power"}
         for name in [name for name, meaning in meant.items() if meaning in unused]:
-            meant[name], remarks[name] = "", said("not_driving", drive=drive)
+            meant[name], remarks[name] = "", message("not_driving", drive=drive)
     clocks = [column for column in columns if meant[column.name] == "time"]
     entries: dict[str, Entry] = {}
     for column in columns:
@@ -302,7 +302,7 @@ def propose(table: TableFile, bench: Parameters,
         supply = bench[volts] if volts in bench.given else ask("supply_voltage", "which_supply")
     if any(entry.measured.quantity == "angle" for entry in found):
         lever = bench["load.lever"] or ask("lever", "which_lever")
-    # What is missing. A clamped wire moves nothing, and shows its heat and its resistance.
+    # What is missing. A clamped wire needs no motion, but temperature, or voltage and current.
     taken = {*time, *(entry.column for entry in found)}
     ignored = tuple(column.name for column in columns if column.name not in taken)
     unknown = [name for name in ignored if remarks.get(name) == _UNKNOWN]
@@ -311,7 +311,7 @@ def propose(table: TableFile, bench: Parameters,
         ask("signals", "no_position", rest=rest)
     if not kinds & _DRIVES and not kinds >= {"elongation", "force"}:
         ask("signals", "no_drive", rest=rest)
-    # Signs, the same whatever is answered to the questions so far.
+    # Signs do not depend on the answers to the questions so far.
     made = ImportMap(time, found, supply, ohms, lever, ignored)
     read: dict[Entry, _Samples] = {}
     with contextlib.suppress(*([InputError] if proposal.questions else [])):
@@ -321,13 +321,13 @@ def propose(table: TableFile, bench: Parameters,
 
 
 def _count_alike(one: Column, other: Column) -> bool:
-    """Whether two clocks count the same time, each in its unit; of one without unit, any."""
+    """True if two clocks count the same time, each in its unit; a missing unit may be any."""
     values = np.stack([one.values, other.values])
     is_there = np.isfinite(values)
     if not np.array_equal(*is_there):
         return False
     values, known = values[:, is_there[0]], [parse_unit(c.unit) for c in (one, other)]
-    if None in known or one.fields or other.fields:  # one of the day, the other from its start
+    if None in known or one.fields or other.fields:  # one may count from another zero
         values -= values[:, :1]
     spans = [1.0 / (span or 1.0) for span in np.ptp(values, axis=1)]
     scales = spans if None in known else [unit.factor for unit in known if unit]
@@ -338,33 +338,33 @@ def _count_alike(one: Column, other: Column) -> bool:
 
 @dataclass
 class _Proposal:
-    """Questions and remarks (by column, or by key of the map) on a map in the making."""
+    """A map in the making, with questions and remarks."""
 
     bench: Parameters
     questions: list[str] = field(default_factory=list)
-    remarks: dict[str, str] = field(default_factory=dict)
+    remarks: dict[str, str] = field(default_factory=dict)  # by column, or by key of the map
 
-    def ask(self, where: str, sentence: str, **values: Any) -> Any:
-        """What stands in the map for an answer."""
-        question = said(sentence, **values)
+    def ask(self, where: str, key: str, **values: Any) -> Any:
+        """Add a question; returns what stands in the map until it is answered."""
+        question = message(key, **values)
         self.questions.append(f"{where!r}: {question}")
         self.remarks[where] = f"{self.remarks.get(where, '')} ASK: {question}".strip()
         return ASK
 
     def channels_of(self, column: Column) -> list[str]:
-        """Channels that a title names, as whole words: r is none of current."""
+        """Channels that a title names, as whole words (channel r is not in `current`)."""
         names, title = self.bench["bench.channels"], cells.split_title(column.name)[0]
         parted = map(PATTERNS.word.findall, (f"{column.title} {title}", *names))
         whole, *own = (f" {' '.join(words).lower()} " for words in parted)
         return [name for name, text in zip(names, own, strict=True) if text in whole]
 
     def meaning(self, column: Column) -> str:
-        """What a column is, "" where it makes no signal."""
+        """The quantity of a column, "" if it makes no signal."""
         name, title = column.name, column.title
         if column.fields:
             return "time"
         texts = [title, name]
-        for channel in self.channels_of(column):  # an extensor is no extension
+        for channel in self.channels_of(column):  # a channel `extensor` does not mean extension
             own = r"[\W_]*".join(map(re.escape, PATTERNS.word.findall(channel)))
             own = rf"(?<![^\W_]){own}(?![^\W_])"
             texts = [re.sub(own, "", t, flags=re.IGNORECASE).strip(" _-.:/") or t for t in texts]
@@ -378,7 +378,7 @@ class _Proposal:
         other = min(words & {*WORDS["devices"], *WORDS["doubtful"]}, default="")
         if other and not unused and named in (*_DRIVES, "duty", "power", "temperature"):
             if other in WORDS["devices"] and not is_wire:
-                unused = f"of another device ({other}), not of a wire"
+                unused = f"of another device ({other}), not a wire"
             elif (named, other) != ("temperature", "sensor"):
                 self.ask(name, "which_device", word=other)
         if named in _DRIVES and words & set(WORDS["supplies"]):
@@ -391,7 +391,7 @@ class _Proposal:
         return named
 
     def clock_of(self, column: Column, clocks: list[Column], columns: list[Column]) -> str:
-        """The nearest clock by path, the finest of several that agree, the one to the left."""
+        """The clock of a column: nearest by path, finest of those that agree, next to the left."""
         fitting = [c for c in clocks if c.table == column.table]
         if len({c.group for c in fitting}) > 1:
             near = {c: (c.group == column.group, len(os.path.commonprefix([c.name, column.name])))
@@ -402,7 +402,7 @@ class _Proposal:
         finest = max(fitting, key=lambda c: (c.unit != "", len(set(c.values)), c.start or 0.0))
         if all(c is finest or _count_alike(finest, c) for c in fitting):
             return finest.name
-        # A clock a column: each speaks for the columns to its right.
+        # Several clocks: each is that of the columns to its right.
         order = [c.name for c in columns if c.table == column.table]
         names = [c.name for c in fitting]
         places = [order.index(name) for name in names]
@@ -418,7 +418,7 @@ class _Proposal:
         unit, signal = self.unit(column, meaning), QUANTITIES[meaning].get("signal", "")
         load, zero = load_kind(self.bench), "none"
         if signal == "elongation" and load == "displacement":
-            self.remarks[name] = "imposed: zero and sign are the machine's, longer is positive"
+            self.remarks[name] = "imposed: zero and sign as the machine has it, longer is positive"
         elif signal == "elongation":
             signal, zero = "deflection" if load in ("beam", "antagonist") else signal, "rest"
         if signal:
@@ -428,7 +428,7 @@ class _Proposal:
             fitting = [self.ask(name, "which_channel", channels=", ".join(channels))]
         kind, form = ("voltage", meaning) if meaning in ("duty", "power") else (meaning, "rms")
         if meaning in _DRIVES:
-            # Of a switched supply a meter may show the mean, an oscilloscope the peak.
+            # With a switched supply a meter may show the mean, an oscilloscope the peak.
             text = " ".join(["", *cells.words_of(f"{name} {column.title} {column.unit}"), ""])
             forms = [f for f in _FORMS[meaning] if f not in ("duty", "power")]
             named = [f for f in forms if any(word in text for word in WORDS["forms"][f])]
@@ -437,14 +437,15 @@ class _Proposal:
         return Entry(f"{fitting[0]}.{kind}", name, unit, clock, form=form)  # type: ignore[arg-type]
 
     def unit(self, column: Column, meaning: str) -> str:
-        """The column's unit if its values are believable, without one that in which they are."""
+        """The column's unit, if its values are plausible in it; one that they suggest, if none."""
         row, length = QUANTITIES[meaning], self.bench["wire.length"]
         name, unit, span, known = column.name, column.unit, column.span, parse_unit(column.unit)
         if column.fields == 2:
             return self.ask(name, "fields")
         if known and known.quantity not in row["units"]:
             return self.ask(name, "other_unit", unit=unit, quantity=known.quantity, meaning=meaning)
-        # By an epoch's start, degrees at rest, a movement's share of the wire, else the largest.
+        # A missing unit is guessed from the first time, the temperature at rest, the range of a
+        # motion over the length of the wire, or else the largest value.
         finite = column.values[np.isfinite(column.values)]
         low, high = float(finite.min()), float(finite.max())
         rest = float(np.median(finite[: max(3, len(finite) // 100)]))
@@ -456,19 +457,19 @@ class _Proposal:
         if known is None:
             self.remarks[name] = f"no unit is given; {span} is taken as {guess!r}"
             return guess
-        least, most = row["believable"]
+        least, most = row["plausible"]
         low, high = known.si(np.array([low, high]))
-        if known.quantity in ("time", "length"):  # that goes by, of a movement
+        if known.quantity in ("time", "length"):  # their range counts
             low, high = 0.0, high - low
         if meaning == "length" and length:
             most = 0.2 * length
         if least <= low and high <= most:
             return unit
         hint = f", or in {guess}" if guess else ""
-        return self.ask(name, "beyond_belief", span=span, unit=unit, hint=hint)
+        return self.ask(name, "implausible", span=span, unit=unit, hint=hint)
 
     def sign_and_zero(self, entry: Entry, read: Mapping[Entry, _Samples]) -> dict[str, Any]:
-        """Sign and reference from what is known of a wire: heat shortens it, and it cannot push."""
+        """Sign and reference from physics: heat shortens a wire, and a wire cannot push."""
         of = {other.signal: samples for other, samples in read.items()}
         name, signal, nothing = entry.column, entry.signal, _Samples(np.zeros(0), np.zeros(0))
         own, force = of.get(signal, nothing), of.get("force", nothing)
@@ -489,7 +490,7 @@ class _Proposal:
                 found["reference"] = self.ask(name, "moves_early")
             up, down = own.values.max() - np.median(before), np.median(before) - own.values.min()
             if max(up, down) > _CLEAR * min(up, down):
-                self.remarks.setdefault(name, said("moves", way="up" if up > down else "down"))
+                self.remarks.setdefault(name, message("moves", way="up" if up > down else "down"))
                 return {**found, "sign": -1 if up > down else 1}
         elif len(own.values) and len(force.values):
             with np.errstate(invalid="ignore"):
@@ -501,13 +502,13 @@ class _Proposal:
 
 
 def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
-    """Runs of a file and their names: sheets of the same titles are one each, else all are one."""
+    """Runs of a file, with names: tables with equal titles are a run each, else all are one run."""
     shapes = [tuple((c.title, c.unit) for c in table.columns) for table in file.tables]
     alike = [t for t, shape in zip(file.tables, shapes, strict=True) if shapes.count(shape) > 1]
     outside = [*file.outside, *(f"sheet {t.name}" for t in file.tables if t not in alike)]
     runs = []
     for k, table in enumerate(alike):
-        if k:  # names that differ in the file only are the same again
+        if k:  # `Voltage (2)`, unique in the file, is `Voltage` again
             own = (replace(c, name=re.sub(r" \(\d+\)\Z", "", c.name)) for c in table.columns)
             table = replace(table, columns=tuple(own))
         runs.append((table.name or f"{k + 1}", file.with_tables([table], () if k else outside)))
@@ -515,7 +516,7 @@ def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
 
 
 def together(files: Sequence[TableFile]) -> TableFile:
-    """Files of one run as one file, whose columns are named after them."""
+    """Files of one run as one, with the file in the names of its columns."""
     tables = []
     for stem, table in ((file.path.stem, table) for file in files for table in file.tables):
         columns = tuple(replace(c, name=f"{stem}: {c.name}", group=stem) for c in table.columns)

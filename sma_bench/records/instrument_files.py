@@ -1,8 +1,8 @@
-"""Files of calorimeters (PerkinElmer, TA, Netzsch, Mettler, Setaram, or anybody's table of time,
-temperature and heat flow), isobaric tests (strain at one stress, temperature cycled), tensile ones.
+"""Reads files of calorimeters (PerkinElmer, TA, Netzsch, Mettler, Setaram, or any table of time,
+temperature and heat flow), isobaric tests (cycled temperature at one stress) and tensile tests.
 
-TA's Universal Analysis writes titles as lines `Sig1 ...`; Pyris (PerkinElmer) a block a step, "2)
-DSC Temperature Scan", of known columns. Others' steps are cut where the measured rate turns."""
+TA's Universal Analysis writes titles as lines `Sig1 ...`; Pyris (PerkinElmer) writes a block for
+each step, "2) DSC Temperature Scan", of known columns. Other runs are cut where the rate turns."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -20,17 +20,18 @@ from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, parse_unit, pla
 from sma_bench.records.instruments import DscRecord, DscSegment, IsobaricRecord, TensileRecord
 from sma_bench.records.tables import Account, Column, Table, TableFile
 
-_WINDOW, _SHORTEST = 20.0, 60.0  # s, over which a rate is measured; of a step
-_STILL, _CONSTANCY = 0.3, 0.05  # of the slowest ramp, of the stress
+_WINDOW, _SHORTEST = 20.0, 60.0  # s, over which a rate is measured; shortest step
+_STILL = 0.3  # of the slowest ramp: a lower rate is isothermal
+_CONSTANCY = 0.05  # of the stress: deviation of an isobaric test
 _LARGEST_MASS, _HOTTEST = 1e-3, 1500.0  # kg, K
-_LARGEST_SPAN = 0.12  # NiTi single crystals recover some 10 %: a larger one is written in percent
-_WARMING = 4.0  # times the smallest cycle: less is a wire's own where its stress is not held
-_COLDEST = (-150.0, 60.0)  # degC, of a cycle: above, the values are K or degF as well
+_LARGEST_SPAN = 0.12  # NiTi single crystals recover some 10 %: a larger strain is in percent
+_WARMING = 4.0  # times the smallest cycle: at varying stress, a smaller one is self-heating
+_COLDEST = (-150.0, 60.0)  # degC, of a cycle: warmer values may be K or degF
 _LARGEST = {"strain": 0.5, "stress": 3e9}  # of a tensile test, in SI units
 
 
 def _clauses(cells: Sequence[str]) -> list[str]:
-    """What a line states, each key with its number: gauge length 60 mm, diameter 0.5 mm."""
+    """A line's statements, each a key with its number: gauge length 60 mm, diameter 0.5 mm."""
     found: list[str] = []
     for part in (part for cell in cells for part in re.split(r"[,;]\s+(?=[^\W\d])", cell)):
         if not found or re.match(r"[^\W\d]{3,}[^\d]*\s.*\d", part):
@@ -42,41 +43,41 @@ def _clauses(cells: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class Sheet:
-    """One table of an instrument's file, with what was stated of it in SI."""
+    """One table of an instrument's file."""
 
     file: TableFile
     table: Table
-    given: Mapping[str, float]
+    given: Mapping[str, float]  # stated by the user, in SI
     findings: list[Finding] = field(default_factory=list)
 
     @property
     def titles(self) -> str:
-        """Names of the columns, for a message; "" where none has a title."""
+        """Names of the columns, for a message; "" if none has a title."""
         named = any(column.title for column in self.table.columns)
         return ", ".join(column.name for column in self.table.columns[:12]) if named else ""
 
-    def remark(self, severity: Severity, subject: str, sentence: str, **values: Any) -> None:
-        """Note a finding: a sentence of words.yaml, whose numbers it keeps."""
-        numbers = {key: float(v) for key, v in values.items() if not isinstance(v, str)}
-        text = f"{self.file.path}: {cells.said(sentence, **values)}"
+    def remark(self, severity: Severity, subject: str, key: str, **values: Any) -> None:
+        """Add a finding: a sentence of words.yaml and the numbers in it."""
+        numbers = {name: float(v) for name, v in values.items() if not isinstance(v, str)}
+        text = f"{self.file.path}: {cells.message(key, **values)}"
         self.findings.append(Finding(severity, subject, text, numbers))
 
-    def refusal(self, sentence: str, **values: Any) -> InputError:
-        return InputError(f"{self.file.path}: {cells.said(sentence, **values)}")
+    def refusal(self, key: str, **values: Any) -> InputError:
+        return InputError(f"{self.file.path}: {cells.message(key, **values)}")
 
     def find(self, *roles: str) -> tuple[Column, str] | None:
-        """The best column of the first of these roles that there is, and the role."""
+        """The best column for the first of these roles that has any, and the role."""
         found = ((self.ranked(role), role) for role in roles)
         return next(((ranked[0][1], role) for ranked, role in found if ranked), None)
 
     def ranked(self, role: str) -> list[tuple[int, Column]]:
-        """Columns that may have a role, the best first."""
+        """Columns that may have a role, with scores, the best first."""
         row, is_flow, found = QUANTITIES[role], role == "heat flow", []
         for column in self.table.columns:
             plain, unit = plain_title(column.title), parse_unit(column.unit)
             meant = cells.meanings(column.title, column.unit)
             if meant in (("setpoint",), ("ambient",)) and "temp" in plain:
-                meant = ("temperature",)  # if there is no other
+                meant = ("temperature",)  # used if there is no better one
             fits = unit.quantity in row["units"] if unit else not (column.unit or is_flow)
             words = set(re.findall(r"[a-z]+", plain))
             fits = fits and not words & set(row.get("never", ()))
@@ -87,18 +88,18 @@ class Sheet:
         return sorted(found, key=lambda pair: -pair[0])
 
     def lacks(self, kind: str, beside: Sequence[str] = ()) -> list[str]:
-        """What a kind of test has (`instruments` in words.yaml) and the table has not."""
+        """Columns that a kind of test needs (`instruments` in words.yaml) and the table lacks."""
         roles = WORDS["instruments"][kind].items()
         return [what for what, names in roles if what not in beside and not self.find(*names)]
 
     def columns(self, kind: str, beside: Sequence[str] = ()) -> dict[str, tuple[Column, str]]:
-        """Columns of a kind of test, each with its role; raises InputError where one is absent."""
+        """Columns of a kind of test, each with its role. InputError: one is missing."""
         for lacked in self.lacks(kind, beside):
             title = f"{lacked.capitalize()} ({QUANTITIES[lacked]['example']})"
             raise self.refusal("no_column", what=lacked, titles=self.titles or "none", title=title)
         found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
         chosen = {what: column for what, column in found.items() if column}
-        for c in self.table.columns:  # 1, 1, 2, 2: a text is no column of numbers
+        for c in self.table.columns:  # 1, 1, 2, 2 in a column of ids: several specimens
             known, meant = parse_unit(c.unit), cells.title_meanings(c.title)
             if known and meant == ("temperature",) and known.quantity != meant[0]:
                 unit, quantity = c.unit, known.quantity
@@ -115,7 +116,6 @@ class Sheet:
         return chosen
 
     def titled(self, names: Sequence[str]) -> "Sheet":
-        """The table under titles that its file states elsewhere, or not at all."""
         columns = self.table.columns
         if len(names) != len(columns):
             raise self.refusal("titles", columns=len(columns), titles=len(names))
@@ -124,7 +124,7 @@ class Sheet:
         return replace(self, table=replace(self.table, columns=tuple(named)))
 
     def values(self, column: Column, role: str) -> Array:
-        """(n,) in SI units; raises InputError where a cell is missing, or there is no unit."""
+        """(n,) in SI units. InputError: a cell is missing, or the column has no unit."""
         for missing in np.flatnonzero(~np.isfinite(column.values))[:1]:
             raise self.refusal("no_number", line=self.table.lines[missing], name=column.name)
         unit = parse_unit(column.unit)
@@ -134,7 +134,8 @@ class Sheet:
         return unit.si(column.values)
 
     def noted(self, name: str) -> float | None:
-        """A number of `stated` in words.yaml, in SI, given or in a line; InputError for several."""
+        """A number of `stated` in words.yaml, in SI, if the user or a line states it. InputError:
+        lines that differ."""
         if name in self.given:
             return self.given[name]
         found = self.statements(name)
@@ -143,24 +144,25 @@ class Sheet:
         return next(iter(found), None)
 
     def statements(self, name: str) -> dict[float, str]:
-        """What lines of text say a number is, the first each; of the room only if no other does."""
+        """The values that lines of text state for a number, each with its first line; lines with a
+        `worse` word (a room's temperature) count only if there are no others."""
         row = WORDS["stated"][name] | {"other": WORDS["other_number"]}
         found = dict[float, str]()
         lines = [*self.table.above, *([text] for _, text in self.table.marks)]
 
-        def speaks(text: str, key: str) -> bool:
+        def mentions(text: str, key: str) -> bool:
             words = "|".join(map(re.escape, row.get(key, ())))
             return bool(words and re.search(rf"(?<![a-z])(?:{words})", plain_title(text)))
 
         for text in (clause.lstrip("#% ") for line in lines for clause in _clauses(line)):
             value = cells.number_with_unit(text, row["quantity"])
-            is_other = speaks(text, "never") or speaks(re.split(r"\d", text)[0], "other")
-            if value and speaks(text, "words") and not is_other:
+            is_other = mentions(text, "never") or mentions(re.split(r"\d", text)[0], "other")
+            if value and mentions(text, "words") and not is_other:
                 found.setdefault(value, text)
-        return {v: t for v, t in found.items() if not speaks(t, "worse")} or found
+        return {v: t for v, t in found.items() if not mentions(t, "worse")} or found
 
     def section(self) -> float | None:
-        """m2 of the specimen, as it is noted or by its diameter."""
+        """Cross-section of the specimen in m2, as stated or from its diameter; None if unknown."""
         if (area := self.noted("area")) is not None:
             return area
         diameter = self.noted("diameter")
@@ -171,18 +173,14 @@ class Sheet:
         return self.file.account([self.table], rows, used, {"": "not needed"})
 
     def is_driven(self) -> bool:
-        """Whether a title speaks of a duty, voltage or current: a bench's record."""
+        """True if a title means a duty, voltage or current: a record of a bench."""
         named = (c for c in self.table.columns if cells.title_meanings(c.title))
         known = [cells.meanings(c.title, c.unit) for c in named if c.unit or len(c.title) > 1]
         return any((drive,) in known for drive in ("duty", "current", "voltage", "supply"))
 
 
-def record_of(sheet: Sheet) -> DscRecord | IsobaricRecord | TensileRecord | None:
-    return dsc_of(sheet) or isobaric_of(sheet) or tensile_of(sheet)
-
-
 def dsc_of(sheet: Sheet) -> DscRecord | None:
-    """The run in a table of temperature and heat flow, or an export that names them elsewhere."""
+    """The DSC run in a table of temperature and heat flow, or of Pyris or Universal Analysis."""
     path, above = sheet.file.path, [" ".join(line) for line in sheet.table.above]
     marks = [(0, text) for text in above] + list(sheet.table.marks)
     is_named = any(PATTERNS.block.match(text) or text.strip() == "StartOfData" for _, text in marks)
@@ -212,7 +210,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
     time, temperature, flow = time[kept], temperature[kept], flow[kept]
     for back in np.flatnonzero(np.diff(time) < 0.0)[:1]:
         raise sheet.refusal("time_back", line=sheet.table.lines[kept][back + 1])
-    # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
+    # Heat flow per gram does not need the mass: any, such as 1 mg, gives the same result.
     unit = parse_unit(columns["heat flow"][0].unit)
     is_specific = unit is not None and unit.quantity == "specific power"
     is_open = "mass" not in sheet.given and len(sheet.statements("mass")) > 1
@@ -237,7 +235,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
             number, duration, rate = int(match[1]), float(time[last - 1] - time[first]), 0.0
             if first == last:
                 raise sheet.refusal("no_segment", number=number)
-            if match[2] != "Isothermal" and duration > 0.0:  # as it was programmed, in K/min
+            if match[2] != "Isothermal" and duration > 0.0:  # programmed in K/min, three decimals
                 rate = round(60.0 * float(program[last - 1] - program[first]) / duration, 3) / 60.0
             parts.append((number, rate, slice(first, last)))
     else:
@@ -245,8 +243,8 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
         parts = _cut(time, temperature, ramps)
         if not any(rate for _, rate, _ in parts):
             raise sheet.refusal("no_scan")
-    courses = time, flow, baseline, temperature, program
-    segments = tuple(DscSegment(n, rate, *(v[part] for v in courses)) for n, rate, part in parts)
+    series = time, flow, baseline, temperature, program
+    segments = tuple(DscSegment(n, rate, *(v[part] for v in series)) for n, rate, part in parts)
     announced = header.get("Total Points in Run", "")
     if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
         sheet.remark("warning", path.name, "cut_short", points=len(time), announced=announced)
@@ -262,7 +260,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
 
 
 def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[int, float, slice]]:
-    """Number, rate and rows of a run's steps, by the rate around a row; `ramps`: stated, K/s."""
+    """Number, rate (K/s) and rows of each step, by the measured rate; `ramps`: stated rates."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     half = max(int(round(0.5 * _WINDOW / period)) if period > 0.0 else 3, 1)
     padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
@@ -274,20 +272,20 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
     for first, last in pairwise(edges):
         if time[last - 1] - time[first] < _SHORTEST:
             continue
-        # A rate is known to half its window only; the turn itself belongs to neither step.
+        # Half a window at either end is left out: the rate there is of both steps.
         begin, end = time[first] + 0.5 * _WINDOW, time[last - 1] - 0.5 * _WINDOW
         part = slice(int(np.searchsorted(time, begin)), int(np.searchsorted(time, end)))
         measured = float(np.median(rate[part])) if kind[first] else 0.0
         nearest = min(ramps, key=lambda ramp: abs(ramp - abs(measured)), default=np.inf)
-        if abs(nearest - abs(measured)) < 0.2 * abs(measured):  # the method's own
+        if abs(nearest - abs(measured)) < 0.2 * abs(measured):  # use the stated rate
             measured = float(np.copysign(nearest, measured))
         parts.append((len(parts) + 1, measured, part))
     return parts
 
 
 def is_isobaric(sheet: Sheet) -> bool:
-    """Whether a table has a changing temperature, strain or extension, and a load; or, without
-    titles, a column that goes up and down, a second, and one that is held."""
+    """True if a table has a changing temperature, a strain or extension and a load; without titles,
+    if the first column goes up and down and the last of three is constant, or the load stated."""
     columns, has_load = sheet.table.columns, _has_load(sheet)
     if sheet.titles:
         found, loaded = sheet.find("temperature"), sheet.find("stress", "force")
@@ -303,14 +301,14 @@ def is_isobaric(sheet: Sheet) -> bool:
 
 
 def _held(column: Column) -> bool:
-    """Whether most values of a load are about one."""
+    """True if most values of a load are within 20 % of their median."""
     values = np.abs(column.values[np.isfinite(column.values)])
     level = float(np.median(values)) if len(values) else np.nan
     return bool(np.sum(np.abs(values - level) < 0.2 * level) > 0.5 * len(values))
 
 
 def _differ(one: Column, other: Column) -> bool:
-    """Whether two columns are more than one, perhaps in two units."""
+    """True unless two columns hold the same numbers, perhaps in different units."""
     there = np.isfinite(one.values) & np.isfinite(other.values)
     both = one.values[there], other.values[there]
     if not there.any():
@@ -321,19 +319,27 @@ def _differ(one: Column, other: Column) -> bool:
 
 
 def _has_load(sheet: Sheet) -> bool:
-    """Whether a stress is stated, in a line of text or by the name of the sheet."""
+    """True if a stress is stated, by the user, in a line of text or in the name of the sheet."""
     named = cells.number_with_unit(sheet.table.name, "stress") is not None
     return named or "stress" in sheet.given or bool(sheet.statements("stress"))
 
 
 def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
-    """The test in a table that `is_isobaric`; without titles in degC, strain and MPa."""
+    """The test in a table, None if not `is_isobaric`; without titles in degC, strain and MPa."""
     if not is_isobaric(sheet):
         return None
     path, table, has_load = sheet.file.path, sheet.table, _has_load(sheet)
     if len(table.lines) < instruments.FEWEST_ROWS:
         raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
-    sheet = sheet if sheet.titles else _named(sheet, has_load)
+    if not sheet.titles:  # those of the known form, if the values fit its units
+        coldest = float(np.nanquantile(table.columns[0].values, 0.05))
+        if not _COLDEST[0] < coldest < _COLDEST[1]:
+            raise sheet.refusal("celsius", coldest=coldest)
+        level = 0.0 if has_load else float(np.nanmedian(table.columns[-1].values))
+        if 1e6 * level >= instruments.STRONGEST:
+            raise sheet.refusal("megapascal", level=level)
+        titles = ["temperature [degC]", "strain", "stress [MPa]"]
+        sheet = sheet.titled(titles[: len(table.columns)])
     columns = sheet.columns("isobaric", ["stress"] if has_load else [])
     pulled, role = columns["strain"]
     span, unit = float(np.ptp(pulled.values)), pulled.unit
@@ -365,7 +371,7 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
         sheet.remark("warning", "strain unit", "percent", span=span, unit=unit, most=_LARGEST_SPAN)
     for k in np.flatnonzero((temperature <= 0.0) | (temperature > _HOTTEST))[:1]:
         raise sheet.refusal("temperature", line=table.lines[k], value=temperature[k], most=_HOTTEST)
-    # Rows between loading and unloading, where stress is at its level.
+    # Keep the rows between loading and unloading, where the stress is constant.
     level = float(np.median(stress))
     if level < 0.0:
         raise sheet.refusal("compressed", level=f"{level / 1e6:.4g}")
@@ -401,20 +407,8 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     return IsobaricRecord(path, name, median, unit, cycles, (*sheet.findings, *remarks), account)
 
 
-def _named(sheet: Sheet, is_loaded: bool) -> Sheet:
-    """A table without titles under those of the known form."""
-    columns = sheet.table.columns
-    coldest = float(np.nanquantile(columns[0].values, 0.05))
-    if not _COLDEST[0] < coldest < _COLDEST[1]:
-        raise sheet.refusal("celsius", coldest=coldest)
-    level = 0.0 if is_loaded else float(np.nanmedian(columns[-1].values))
-    if 1e6 * level >= instruments.STRONGEST:
-        raise sheet.refusal("megapascal", level=level)
-    return sheet.titled(["temperature [degC]", "strain", "stress [MPa]"][: len(columns)])
-
-
 def tensile_of(sheet: Sheet) -> TensileRecord | None:
-    """The test in a table of strain or extension, and stress or force, and no drive."""
+    """The test in a table of strain or extension and stress or force; None if it has a drive."""
     if sheet.lacks("tensile") or sheet.is_driven():
         return None
     table = sheet.table
@@ -423,7 +417,7 @@ def tensile_of(sheet: Sheet) -> TensileRecord | None:
     columns = sheet.columns("tensile")
     pulled, loaded = columns["strain"], columns["stress"]
     strain, stress = sheet.values(*pulled), sheet.values(*loaded)
-    # Extension counts from the first row, over the gauge length; force over the section.
+    # Strain is extension since the first row over gauge length, stress is force over section.
     length = sheet.noted("gauge_length") if pulled[1] == "length" else 1.0
     section = sheet.section() if loaded[1] == "force" else 1.0
     if pulled[1] == "length":

@@ -19,15 +19,17 @@ if TYPE_CHECKING:
 Phase = Literal["martensite", "austenite"]
 PHASES: tuple[Phase, ...] = get_args(Phase)
 Direction = Literal["heating", "cooling"]
-FEWEST_ROWS, _FEWEST_SAMPLES, _WINDOW = 20, 8, 11  # of a mechanical test, of a branch; rows
+FEWEST_ROWS, _FEWEST_SAMPLES = 20, 8  # rows of a mechanical test, of a branch
 STRONGEST = 1.5e9  # Pa: cold-drawn NiTi wire breaks at 1.4 to 1.9 GPa
-STEADY, SMALLEST_RANGE, _SMALLEST_SPIKE, NOISY, _SMOOTH = 3.0, 5.0, 3.0, 0.5, 0.2  # K
-_TURN, _COMPLETE = 0.15, 0.6  # of the range: that a turn goes back, that a branch spans
+STEADY, SMALLEST_RANGE = 3.0, 5.0  # K, most change in a tensile test, least in a thermal cycle
+_SMALLEST_SPIKE, _WINDOW = 3.0, 11  # K, rows around it
+NOISY, _SMOOTH = 0.5, 0.2  # K, scatter that is smoothed, scatter that remains
+_TURN, _COMPLETE = 0.15, 0.6  # of the range: change that makes a turn, span of a branch
 
 
 @dataclass(frozen=True)
 class Branch:
-    """One heating or cooling: temperature K, strain, stress Pa, each (n,), in order of time."""
+    """One heating or cooling: temperature K, strain, stress Pa, each (n,), ordered by time."""
 
     direction: Direction
     temperature: Array
@@ -48,9 +50,9 @@ class Cycle:
 
 @dataclass(frozen=True)
 class DscSegment:
-    """One step of a DSC run; the sample's signal is heat_flow - baseline."""
+    """One step of a DSC run; the heat flow of the sample is heat_flow - baseline."""
 
-    number: int  # as counted in the file, from 1
+    number: int  # in the file, from 1
     rate: float  # programmed, K/s, negative when cooling, 0 when isothermal
     time: Array  # (n,) s since the start of the run
     heat_flow: Array  # (n,) W, unsubtracted, with the file's sign
@@ -71,9 +73,9 @@ class DscRecord:
     mass: float  # of the sample, kg
     header: dict[str, str]  # `key: value` lines before the data, as written
     segments: tuple[DscSegment, ...]  # in order
-    findings: tuple[Finding, ...] = ()  # remarks of the reader, a file cut short for instance
+    findings: tuple[Finding, ...] = ()  # of the reader, for instance a file cut short
     instrument: str = "PerkinElmer Pyris DSC"
-    exotherm: str = ""  # "up" or "down" where the file says it
+    exotherm: str = ""  # "up" or "down", if the file states it
     account: "Account | None" = None  # what became of the file's rows and columns
 
     def __repr__(self) -> str:
@@ -90,8 +92,8 @@ class DscRecord:
 
     @property
     def endothermic_up(self) -> bool | None:
-        """Whether heat into the sample counts positive, as stated, else as the heating scans lie
-        above the cooling ones; None where neither shows it."""
+        """True if heat into the sample is positive: as stated, else if the heating scans are above
+        the cooling scans; None if neither is known."""
         if self.exotherm:
             return self.exotherm == "down"
         means = [(s.kind, float(np.mean(s.heat_flow - s.baseline))) for s in self.segments]
@@ -101,14 +103,14 @@ class DscRecord:
 
 @dataclass(frozen=True, repr=False)
 class IsobaricRecord:
-    """One test at one stress. Strain that is "relative" is the extension over its full range."""
+    """One test at one stress. A "relative" strain is the extension divided by its range."""
 
     path: Path
-    name: str  # unique among files of different folders: folder and stem, and its sheet
+    name: str  # folder, stem and sheet of the file
     stress: float  # median over the cycles, Pa
     strain_unit: str  # "1", or "relative" where the gauge length is unknown
     cycles: tuple[Cycle, ...]  # heating and cooling branches in order
-    findings: tuple[Finding, ...] = ()  # what the reader noticed or assumed
+    findings: tuple[Finding, ...] = ()  # of the reader, and what it assumed
     account: "Account | None" = None  # what became of the file's rows and columns
 
     def __repr__(self) -> str:
@@ -118,16 +120,16 @@ class IsobaricRecord:
 
 @dataclass(frozen=True, repr=False)
 class TensileRecord:
-    """One tensile test; the specimen's length and section may stand in no file."""
+    """One tensile test; length and section of the specimen may be unknown."""
 
     path: Path
-    strain: Array  # (n,) in order of time, m where `is_extension`
-    stress: Array  # (n,) Pa, N where `is_force`
-    temperature: float | None  # K; None where the file does not say
-    findings: tuple[Finding, ...] = ()  # what the reader noticed
+    strain: Array  # (n,) ordered by time; m if `is_extension`
+    stress: Array  # (n,) Pa; N if `is_force`
+    temperature: float | None  # K; None if not stated
+    findings: tuple[Finding, ...] = ()  # of the reader
     phase: Phase | None = None  # of the specimen
-    is_extension: bool = False
-    is_force: bool = False
+    is_extension: bool = False  # the gauge length is unknown
+    is_force: bool = False  # the cross-section is unknown
     account: "Account | None" = None  # what became of the file's rows and columns
 
     def __repr__(self) -> str:
@@ -135,29 +137,29 @@ class TensileRecord:
 
 
 def without_spikes(temperature: Array) -> tuple[Mask, Array]:
-    """(n,) False for single readings of temperature (n,) K that jump off the line around and back,
-    and their heights (K)."""
+    """(n,) False for single readings of temperature (n,) K that jump away from their neighbours and
+    back; and the heights of these spikes (K)."""
     half, steps = _WINDOW // 2, np.diff(temperature)
     around = sliding_window_view(np.pad(steps, (half, half + 1), mode="edge"), _WINDOW)
     slope = np.median(around, axis=1)[: len(temperature), None]
     windows = sliding_window_view(np.pad(temperature, half, mode="edge"), _WINDOW)
     away = temperature - np.median(windows - slope * np.arange(-half, half + 1), axis=1)
     bad = np.abs(away) > max(_SMALLEST_SPIKE, 6.0 * 1.4826 * float(np.median(np.abs(away))))
-    # It stands out from both its neighbours: a corner or a step does not.
+    # A spike differs from both neighbours; a corner or a step does not.
     before, after = np.pad(steps, (1, 0)), np.pad(steps, (0, 1))
     bad &= (before * after < 0.0) & (np.minimum(abs(before), abs(after)) > _SMALLEST_SPIKE)
     return ~bad, away[bad]
 
 
 def without_noise(temperature: Array) -> tuple[Array, float, int]:
-    """(n,) K without a noisy thermometer's scatter, that scatter, and through how many rows a
-    parabola goes for it, 0 for none."""
+    """Temperature (n,) K, smoothed by parabolas if noisy; its scatter (K); and the number of rows
+    of each parabola, 0 if it was not smoothed."""
     from scipy.signal import savgol_filter  # half a second to load
     noise = 0.0
     if len(temperature) >= _FEWEST_SAMPLES:
         noise = 1.4826 * float(np.median(np.abs(np.diff(temperature, 2)))) / math.sqrt(6.0)
     smooth, width, window = temperature, 0, 5
-    # A parabola through w readings has 9/4 of the variance of their mean.
+    # The middle of a parabola through w readings has 9/4 of the variance of their mean.
     while noise >= NOISY and noise * math.sqrt(2.25 / max(width, 2.25)) > _SMOOTH:
         level = 0.5 * (smooth.max() + smooth.min())
         away = smooth[np.abs(smooth - level) > 0.15 * np.ptp(smooth)] > level
@@ -170,13 +172,13 @@ def without_noise(temperature: Array) -> tuple[Array, float, int]:
 
 def find_cycles(temperature: Array, strain: Array, stress: Array,
                 where: str) -> tuple[tuple[Cycle, ...], list[Finding]]:
-    """Cycles between the turns of temperature (n,) K, with strain (n,) and stress (n,) Pa; `where`
-    leads the messages. InputError: there is no branch."""
+    """Cycles of temperature (n,) K, with strain (n,) and stress (n,) Pa, and findings; `where`
+    begins the messages. InputError: there is no branch."""
     span = float(np.ptp(temperature)) if len(temperature) else 0.0
     if span < SMALLEST_RANGE:
         raise InputError(f"{where}: temperature changes by {span:.3g} K, expected a cycle of "
                          f"{SMALLEST_RANGE:g} K or more")
-    # Extremes that a change of more than the threshold follows, and both ends.
+    # Turns: extremes that are followed by a change of more than the threshold, and both ends.
     threshold = max(_TURN * span, 2.0)
     turns, extreme, direction = [0], 0, 0
     for i, t in enumerate(temperature):
@@ -202,7 +204,7 @@ def find_cycles(temperature: Array, strain: Array, stress: Array,
     if not cycles:
         short = f"no branch spans {_COMPLETE:.0%} of the {span:.1f} K range"
         raise InputError(f"{where}: {short}, expected a heating or cooling")
-    text = (f"{where}: {partial} turns of temperature span less than {_COMPLETE:.0%} of the range "
+    text = (f"{where}: {partial} branches span less than {_COMPLETE:.0%} of the temperature range "
             "and are left out")
     findings = [Finding("info", "temperature", text, {"count": float(partial)})] * bool(partial)
     return tuple(Cycle(number, branches) for number, branches in enumerate(cycles, 1)), findings

@@ -1,4 +1,4 @@
-"""Opens records whatever they are, a bag or an instrument's file, and says what they hold."""
+"""Opens bags and instrument files as records, and describes what they hold."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -25,10 +25,9 @@ AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 
 def open_records(path: str | Path, namespace: str | None = None,
                  stated: Mapping[str, float] | None = None) -> list[AnyRecord]:
-    """Read a bag (with `namespace` of the bench to take) or an instrument's file, of whose sheets
-    each may be a record. `stated`: what the file does not hold, in SI: `stress`, `mass`,
-    `gauge_length`, `area`, `diameter`, `temperature`. Raises InputError: neither, or nothing
-    readable, with why."""
+    """Read a bag (of the bench in `namespace`) or an instrument's file, each sheet of which may be
+    a record. `stated`: numbers that the file lacks, in SI: `stress`, `mass`, `gauge_length`,
+    `area`, `diameter`, `temperature`. InputError: it is neither, or cannot be read, and why."""
     path = Path(path)
     if is_bag(path):
         return [read_record(path, namespace)]
@@ -37,14 +36,14 @@ def open_records(path: str | Path, namespace: str | None = None,
     from sma_bench.records.tables import read_table_file
     file = read_table_file(path)
     sheets = [files.Sheet(file, table, stated or {}) for table in file.tables]
-    records: list[AnyRecord] = [r for sheet in sheets if (r := files.record_of(sheet))]
-    if records:
+    found = (files.dsc_of(s) or files.isobaric_of(s) or files.tensile_of(s) for s in sheets)
+    if records := list[AnyRecord](filter(None, found)):
         return records
-    raise InputError(f"{path}: {_what_it_lacks(file, stated or {})}")
+    raise InputError(f"{path}: {_why_no_record(file, stated or {})}")
 
 
 def parse_stated(texts: Iterable[str]) -> dict[str, float]:
-    """`stress=200 MPa` and the like in SI units; InputError for another name, or no such number."""
+    """Values, in SI units, of texts such as `stress=200 MPa`. InputError: unknown name or unit."""
     from sma_bench.records.cells import WORDS, number_with_unit
     known: dict[str, Any] = WORDS["stated"]
     found: dict[str, float] = {}
@@ -55,14 +54,14 @@ def parse_stated(texts: Iterable[str]) -> dict[str, float]:
         quantity = known[name]["quantity"]
         value = number_with_unit(text, quantity)
         if value is None or not 0.0 < value < np.inf:
-            raise InputError(f"{text!r}: expected a number with a unit of {quantity}, as 1000.5")
+            raise InputError(f"{text!r}: expected a number like 1000.5 with a unit of {quantity}")
         found[name] = value
     return found
 
 
 def open_record(path: str | Path, namespace: str | None = None,
                 stated: Mapping[str, float] | None = None) -> AnyRecord:
-    """A file's record, the first where sheets hold several, with a warning; as `open_records`."""
+    """As `open_records`, but one record: the first, with a warning if there are more."""
     first, *others = open_records(path, namespace, stated)
     if not others:
         return first
@@ -72,15 +71,15 @@ def open_record(path: str | Path, namespace: str | None = None,
     return replace(first, findings=(*first.findings, Finding("warning", "sheets", text)))
 
 
-def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
-    """What keeps a table from being an instrument's, or how a logger's becomes a record."""
+def _why_no_record(file: "TableFile", stated: Mapping[str, float]) -> str:
+    """Why a table is no instrument's record, and what to do."""
     from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, title_meanings
     from sma_bench.records.instrument_files import Sheet
     sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
     if not sheet.titles:
         return (f"{len(sheet.table.columns)} columns without titles: write titles with units above "
-                "them; of two, of an isobaric test (temperature in degC, strain), state the "
-                "stress, --state 'stress=200 MPa' or a first line 'Stress: 200 MPa'")
+                "them; for an isobaric test in two columns (temperature in degC, strain), state "
+                "the stress: --state 'stress=200 MPa', or a first line 'Stress: 200 MPa'")
     kinds, name = WORDS["instruments"], file.path.name
     lacks = {kind: sheet.lacks(kind) for kind in kinds}
     kind = min(lacks, key=lambda one: len(lacks[one]))
@@ -90,17 +89,17 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
         example = f"{what.capitalize()} ({QUANTITIES[what]['example']})"
         for c in sheet.table.columns:
             if c.unit and not parse_unit(c.unit) and what in title_meanings(c.title):
-                return f"unit {c.unit!r} of {c.name} is not known: which, as in {example}?"
+                return f"unit {c.unit!r} of {c.name} is not known: which is it, as in {example}?"
         how = f"write its title with a unit, {example}"
         if kind == "isobaric" and what == "stress":
-            how += ", or state it: --state 'stress=200 MPa', a line 'Stress: 200 MPa' above"
+            how += ", or state it: --state 'stress=200 MPa', or a line 'Stress: 200 MPa' above it"
         return f"no {what} column: a {kind} test has {', '.join(kinds[kind])}; {how}"
     return (f"a table of another logger ({file.format}): write titles with units, or make a record "
             f"of it: sma-bench import {name} --out {file.path.stem}")
 
 
 def describe(record: AnyRecord) -> dict[str, Any]:
-    """What a record holds, as JSON-able data in SI units."""
+    """What a record holds, in SI units, as data for JSON."""
     def ends(first: str, last: str, values: Array) -> dict[str, float]:
         return {first: float(values[0]), last: float(values[-1])}
 
@@ -156,6 +155,6 @@ def account_line(record: AnyRecord) -> str:
     topics = record.topics
     taken = sum(topic.count for topic in topics.values() if topic.signals)
     used = ", ".join(f"{n} ({', '.join(t.signals)})" for n, t in topics.items() if t.signals)
-    rest = (f"{n} ({t.type}, none of the bench's)" for n, t in topics.items() if not t.signals)
+    rest = (f"{n} ({t.type}, not of the bench)" for n, t in topics.items() if not t.signals)
     return (f"{name}: {sum(topic.count for topic in topics.values())} messages read, {taken} used; "
             f"topics used: {used or 'none'}; ignored: {', '.join(rest) or 'none'}")

@@ -1,4 +1,4 @@
-"""Records laid over each other: their clocks aligned by the drive, the differences in numbers."""
+"""Compares records: aligns their clocks by the drive and measures how their signals differ."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -11,24 +11,23 @@ from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.records.record import Record, samples
 
-_STEP, _MOST_STEPS = 0.02, 100_000  # s, of the voltages that are aligned; longer in long records
-_SAME_DRIVE = 0.9  # cosine of two drives that are the same
+_STEP, _MOST_STEPS = 0.02, 100_000  # s, of the grid for alignment; longer in long records
+_SAME_DRIVE = 0.9  # least normalised correlation of voltages of the same protocol
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of a signal from the first record's: rms, largest [unit] and when [s], rms over its range."""
+    """Difference of a signal of one record from the same signal of the first record."""
 
     signal: str
     unit: str
     record: str
-    rms: float
-    worst: float
-    at: float
-    share: float
+    rms: float  # in `unit`
+    worst: float  # the largest, with its sign, in `unit`
+    at: float  # s, when it is largest
+    share: float  # rms over the range of the first record's signal
 
     def cells(self) -> tuple[str, ...]:
-        """As text: signal, record, rms, largest with its time, and the share."""
         unit, factor = ("mm", 1e3) if self.unit == "m" else (self.unit, 1.0)
         rms, worst = f"{factor * self.rms:.3g} {unit}", f"{factor * self.worst:+.3g} {unit}"
         at, share = f"{self.at:.2f} s", f"{100.0 * self.share:.2g} %"
@@ -40,7 +39,7 @@ HEADER = ("signal", "record", "rms", "worst", "at", "rms over range")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Overlay(Drawn):
-    """Records on the first one's clock, by name, `shifts` [s] added; differences, largest first."""
+    """Records, shifted by `shifts` [s] onto the first one's clock; differences, largest first."""
 
     records: dict[str, Record]
     shifts: dict[str, float]
@@ -63,8 +62,8 @@ class Overlay(Drawn):
 
 
 def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
-    """Records on the first one's clock, by their voltages, but for those `aligned` or of another
-    drive. InputError: fewer than two records, or no signal that two of them share."""
+    """Compare records with the first, aligned by their voltages if not `aligned` or driven
+    otherwise. InputError: fewer than two records, or none shares a signal with the first."""
     if len(records) < 2:
         raise InputError(f"compare: {len(records)} record or model given, expected two or more")
     first, *others = records
@@ -76,7 +75,7 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
         markers = tuple((time + by, text) for time, text in record.markers)
         shifted[name] = replace(record, signals=signals, markers=markers)
         if shift is None:
-            text = f"no drive in common with {first}; both clocks count from their start"
+            text = f"not driven as {first} is; not aligned, both clocks count from their start"
             remarks.append(f"{name}: {text}")
     found = []
     for where in others:
@@ -96,13 +95,13 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
             unit, largest, at = pair[0][name].unit, float(left[worst]), float(time[inside][worst])
             found.append(Difference(name, unit, where, rms, largest, at, share))
     if not found:
-        raise InputError(f"compare: {', '.join(records)} share no signal at any time")
+        raise InputError(f"compare: {', '.join(records)} have no signal in common at any time")
     ranked = sorted(found, key=lambda d: d.share, reverse=True)
     return Overlay(shifted, shifts, tuple(ranked), tuple(remarks))
 
 
 def _shift(first: Record, other: Record) -> float | None:
-    """s by which the other's voltages lie on those of the first; None for drives that differ."""
+    """Shift in s that aligns the other's voltages with those of the first; None if they differ."""
     def is_driven(record: Record, name: str) -> bool:
         held = record.get(name)
         return held is not None and bool(np.nanmax(np.abs(held.values), initial=0.0))

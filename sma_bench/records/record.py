@@ -18,8 +18,9 @@ from sma_bench.parameters.parameter import BY_NAME, SOURCES
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.records.contract import CELSIUS_ZERO, unit_of
 
-_LONGEST_LIST, _SHORTEST_LAG = 400, 0.1  # characters of names in one line; s
-_LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
+_LONGEST_LIST = 400  # characters, of names in one line
+_SHORTEST_LAG = 0.1  # s; a shorter lag of a thermometer does not show
+_LARGEST = 1e9  # in SI units; beyond any sensor, and the squares of much larger numbers overflow
 
 
 @dataclass(frozen=True, repr=False)
@@ -31,9 +32,9 @@ class Signal:
     # (n,) s since the start of the record, strictly increasing when read from a bag
     time: Array
     values: Array  # (n,) or (n, k); a bag's missing values (NaN) are left out, not kept
-    received: Array | None = None  # (n,) s, when the recorder got the message, on that zero
+    received: Array | None = None  # (n,) s, when the recorder got the message; same zero as `time`
     topic: str = ""  # where it came from, empty for a computed signal
-    std: Array | None = None  # (n,) standard deviation that each reading's own message states
+    std: Array | None = None  # (n,) standard deviation stated with each reading
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or len(self.values) != len(self.time):
@@ -55,7 +56,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Topic:
-    """What a bag says about one topic; `signals` names what was made of it."""
+    """One topic of a bag, and the names of the signals made from it."""
 
     type: str
     count: int
@@ -64,11 +65,11 @@ class Topic:
 
 @dataclass(frozen=True, repr=False)
 class Record(Drawn):
-    """Everything read from one bag, or simulated in its place."""
+    """Everything read from one bag or table, or a simulation of it."""
 
     path: Path  # where it was read from
     start_ns: int  # ns since the epoch of t = 0, the first stamp
-    signals: dict[str, Signal]  # by name; what was not measured is absent
+    signals: dict[str, Signal]  # by name; only those that were measured
     markers: tuple[tuple[float, str], ...] = ()  # (time in s, text) of the protocol steps, in order
     topics: dict[str, Topic] = field(default_factory=dict)  # every topic of the bag, decoded or not
     findings: tuple[Finding, ...] = ()  # what the reader noticed: losses, disorder, values left out
@@ -101,7 +102,7 @@ class Record(Drawn):
 
 
 def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ()) -> None:
-    """InputError where two hold the same samples: a run counts once, a hold-out is not fitted."""
+    """InputError if two records have the same samples: a run counts once, no hold-out is fitted."""
     paths: dict[bytes, Path] = {}
     for index, record in enumerate((*records, *hold_out)):
         held = sha256()
@@ -110,15 +111,15 @@ def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ())
         if path := paths.get(held.digest()):
             text = "; give the run once"
             if index >= len(records):
-                text = ", which is fitted too; a hold-out must be of a run that no fit sees"
+                text = ", which is fitted too; a hold-out must be of a run that is not fitted"
             raise InputError(f"{record.path}: holds the samples of {path}{text}")
         if index < len(records):
             paths[held.digest()] = record.path
 
 
 def samples(record: Record, name: str) -> tuple[Array, Array]:
-    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
-    InputError: it is absent or holds no finite value."""
+    """Time (n,) s and values (n,) of a signal, sorted by time, without NaN, Inf and values beyond
+    1e9. InputError: it is absent or has no finite value."""
     signal = record.get(name)
     if signal is None:
         raise InputError(f"{record.path}: no signal {name}")
@@ -132,32 +133,32 @@ def samples(record: Record, name: str) -> tuple[Array, Array]:
 
 
 def has_samples(record: Record, name: str) -> bool:
-    """Whether a signal is there with at least one finite value."""
+    """True if the record has the signal, with at least one finite value."""
     signal = record.get(name)
     return signal is not None and bool((np.abs(signal.values) < _LARGEST).any())
 
 
-def first_order_lag(course: Array, left: float, start: float = 0.0) -> Array:
-    """(n,) of an even course (n,): `left` of what was before, at first `start`, the rest of it."""
+def first_order_lag(values: Array, memory: float, start: float = 0.0) -> Array:
+    """(n,) y[k] = memory * y[k-1] + (1 - memory) * values[k], from y[-1] = `start`."""
     from scipy.linalg import solve_banded
-    coming = (1.0 - left) * course
-    coming[0] += left * start
-    bands = np.vstack([np.ones_like(course), np.full_like(course, -left)])
-    return np.asarray(solve_banded((1, 0), bands, coming))
+    forcing = (1.0 - memory) * values
+    forcing[0] += memory * start
+    bands = np.vstack([np.ones_like(values), np.full_like(values, -memory)])
+    return np.asarray(solve_banded((1, 0), bands, forcing))
 
 
 TIME, _COMMAND = "time", "voltage_command"
 _COMMAND_COLUMN = re.compile(rf"{_COMMAND}\.(\d+)\Z")
 _NAMES = ("<channel>.voltage, .current, .temperature, ambient.temperature, front.range, "
           "back.range, deflection, elongation, force or voltage_command")
-_COLDEST_FRAME, _FARTHEST = 253.0, 1.0  # K, m: no bench is always colder, or moves farther
+_COLDEST_MAXIMUM, _FARTHEST = 253.0, 1.0  # K, m: no bench stays colder, or moves farther
 
 
 def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Record:
-    """A record of arrays in memory, in SI units by contract name (`wire.voltage`): (n,) on the
-    clock `time`, (n,) s, or a pair (time, values); `voltage_command` is (n, k). NaN is left out, as
-    from a bag. `where`: the record's name. Raises InputError: names that are none of the
-    contract's, arrays that do not fit each other, times that do not increase, or nothing at all."""
+    """A record from arrays by contract name (`wire.voltage`), in SI units: (n,) at the times of the
+    column `time`, (n,) s, or a pair (time, values); `voltage_command` is (n, k). NaN is left out,
+    as from a bag. `where`: the record's name. Raises InputError: a name outside the contract,
+    shapes that do not match, times that do not increase, or no signal."""
     def floats(name: str, values: Any) -> Any:
         try:
             return np.array(values, dtype=np.float64)
@@ -189,13 +190,13 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
             around = ", ".join(f"{t:g}" for t in seconds[k : k + 2])
             raise InputError(f"{where}: {name}: times {around} s, expected finite and increasing")
         if not len(numbers):
-            findings.append(Finding("info", name, "NaN throughout, that is not measured; absent"))
+            findings.append(Finding("info", name, "NaN throughout: it was not measured"))
             continue
         span = f"{where}: {name} is {numbers.min():.4g} to {numbers.max():.4g}"
-        if unit == "K" and numbers.max() < _COLDEST_FRAME:
-            raise InputError(f"{span}, expected kelvin; of Celsius add 273.15")
+        if unit == "K" and numbers.max() < _COLDEST_MAXIMUM:
+            raise InputError(f"{span}, expected kelvin; add 273.15 to Celsius")
         if unit == "m" and numbers.ndim == 1 and np.ptp(numbers) > _FARTHEST:
-            raise InputError(f"{span}, expected m; of mm divide by 1000")
+            raise InputError(f"{span}, expected m; divide mm by 1000")
         signals[name] = Signal(name, unit, seconds, numbers)
     if not signals:
         raise InputError(f"{where}: no signals, expected {_NAMES}")
@@ -203,11 +204,11 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
 
 
 def record_from_frame(frame: Any, where: str = "frame") -> Record:
-    """A record of a pandas DataFrame, named as in `record_from_arrays`, which says the errors.
-    Times are its column `time`, else its index: s, time spans, or dates, the first of them 0."""
+    """A record from a pandas DataFrame, with the columns and errors of `record_from_arrays`. Times
+    are its column `time`, else its index: s, time spans, or dates, the first of which becomes 0."""
     given = frame[TIME] if TIME in frame.columns else frame.index
     times, start_ns = given.to_numpy(), 0
-    if times.dtype == object:  # dates of a time zone
+    if times.dtype == object:  # dates with a time zone
         times = given.array.to_numpy(dtype="datetime64[ns]")
     if times.dtype.kind in "mM" and len(times):
         nanoseconds = times.astype(f"{times.dtype.kind}8[ns]").astype(np.int64)
@@ -219,8 +220,8 @@ def record_from_frame(frame: Any, where: str = "frame") -> Record:
 
 
 def frame_from_record(record: Record) -> Any:
-    """The signals as a DataFrame, `voltage_command` in numbered columns, units in `attrs["units"]`;
-    index: the union of all clocks, s, NaN where a signal has no sample. InputError: no pandas."""
+    """The signals as a DataFrame, `voltage_command` in numbered columns, units in `attrs["units"]`.
+    Index: all times of all signals, s; NaN where one has no sample. InputError: no pandas."""
     pandas, columns, units = require_pandas(), dict[str, Any](), dict[str, str]()
     for name, signal in record.signals.items():
         is_wide = signal.values.ndim > 1
@@ -234,7 +235,6 @@ def frame_from_record(record: Record) -> Any:
 
 
 def require_pandas() -> Any:
-    """The module pandas, which is optional. Raises InputError: it is not installed."""
     try:
         import pandas
     except ModuleNotFoundError:
@@ -245,9 +245,9 @@ def require_pandas() -> Any:
 
 def drive_of(record: Record,
              parameters: Parameters) -> tuple[Parameters, Array, Array, Array | None]:
-    """The bench as a record shows it, time (n,) s, volts (n, w) that drive it (or stand for a
-    source's current), and the elongation (n,) m imposed, None but for `load.kind` displacement.
-    InputError: the record lacks what drives it."""
+    """What to simulate a record with: parameters of the bench, time (n,) s, volts (n, w) (for a
+    source of current or power, see `with_commands`), and the imposed elongation (n,) m, None unless
+    `load.kind` is displacement. InputError: the record lacks one of them."""
     record, ohms = with_commands(record, parameters)
     bench = parameters if ohms else as_recorded(parameters)
     time, volts = held_voltages(record, parameters["bench.channels"])
@@ -267,8 +267,8 @@ def imposed_elongation(record: Record) -> tuple[Array, Array]:
 
 
 def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float]:
-    """The record as it is and 0, or, of a source of current or power whose volts nobody measured,
-    with commands in place of its readings and the volts for an ampere in them."""
+    """The record and 0; or, for a power source, or a current source without measured voltages, the
+    record with V = ohms * current or V = sqrt(ohms * power) as its voltages, and these ohms."""
     drive = parameters["bench.drive"]
     is_measured = any(has_samples(record, f"{c}.voltage") for c in record.channels)
     if drive not in SOURCES or (is_measured and drive == "current"):
@@ -287,12 +287,12 @@ def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float
 
 
 def as_driven(record: Record, parameters: Parameters) -> Record:
-    """The record, of a source of power with the volts alone that stand for its watts."""
+    """The record; for a power source, with the voltages that stand for its power."""
     return with_commands(record, parameters)[0] if parameters["bench.drive"] == "power" else record
 
 
 def as_calibrated(record: Record, parameters: Parameters) -> Record:
-    """The record with its readings put right by the sensors' gains, offsets and spot."""
+    """The record with its readings corrected by the sensors' gains, offsets and spot share."""
     corrected = {}
     for name, signal in record.signals.items():
         quantity = name.rpartition(".")[2]
@@ -310,7 +310,7 @@ def as_calibrated(record: Record, parameters: Parameters) -> Record:
 
 
 def with_stated_lag(parameters: Parameters) -> Parameters:
-    """The same, with a thermometer's stated lag, where it is long enough to show, as an effect."""
+    """Parameters with a thermometer's stated lag, if it is long enough to show, as an effect."""
     stated, number = "sensor.temperature.lag", "effect.temperature_lag.time_constant"
     if parameters[stated] < _SHORTEST_LAG or parameters[number]:
         return parameters
@@ -319,7 +319,7 @@ def with_stated_lag(parameters: Parameters) -> Parameters:
 
 
 def ohms_of_source(parameters: Parameters) -> float:
-    """Volts for an ampere, in commands to a source of current; V squared over them is watts."""
+    """Resistance of a channel by which a source's commands become volts, see `with_commands`."""
     return float(parameters["wire.resistance"]) / float(parameters["wire.count"])
 
 
@@ -334,16 +334,16 @@ def held_voltages(record: Record, channels: Sequence[str]) -> tuple[Array, Array
 
 
 def held_at(time: Array, values: Array, at: Array) -> Array:
-    """Values (n,) or (n, w) of times (n,) s, each held until the next, at other times (m,) s."""
+    """Values, (n,) or (n, w) at times (n,) s, at other times (m,) s: each held until the next."""
     return values[np.maximum(np.searchsorted(time, at, side="right") - 1, 0)]
 
 
 def require_channels(record: Record, channels: Sequence[str], driven: Sequence[str]) -> None:
-    """InputError where a channel of the parameters is none of the record's that have voltages."""
+    """InputError if a channel of the parameters is not among the record's `driven` channels."""
     for missing in (channel for channel in channels if channel not in driven):
         own, theirs = ", ".join(channels), ", ".join(driven) or "no channel"
-        text = f"the parameters are of a bench of {own}, the record of one of {theirs}"
+        text = f"the parameters have the channels {own}, the record has voltages of {theirs}"
         fitting = {1: "wire", 4: "composite"}.get(len(driven))
         if fitting and len(driven) != len(channels):
-            text += f"; expected parameters as those of config/{fitting}_rig.yaml"
+            text += f"; expected parameters such as config/{fitting}_rig.yaml"
         raise InputError(f"{record.path}: no voltage of channel {missing}: {text}")

@@ -1,5 +1,5 @@
-"""The storage files of a bag, and the serialised messages in them: mcap is walked up to its first
-damage, sqlite3 read whole or refused. Both spend a Budget, by their sizes."""
+"""Reads the serialised messages in the storage files of a bag: mcap up to the first damage, sqlite3
+completely or not at all. A Budget, by the size of the files, limits both."""
 
 import mmap
 import re
@@ -24,26 +24,27 @@ from sma_bench.findings import Finding, Severity
 
 if sys.version_info >= (3, 14):
     from compression import zstd
-else:  # rosbags brings it along
+else:  # a dependency of rosbags
     from backports import zstd
 
 METADATA = "metadata.yaml"
-PROVENANCE = "sma_bench_provenance"  # key of custom_data in it
+PROVENANCE = "sma_bench_provenance"  # a key of its custom_data
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
-_LONGEST_NAME, _LONGEST_PROVENANCE, _MOST_SENTENCES = 255, 2000, 50  # characters; signals
-_MOST_TOPICS, _LARGEST_MESSAGE, _PIECE = 4096, 1 << 24, 1 << 16  # the latter two in bytes
+_LONGEST_NAME, _LONGEST_PROVENANCE = 255, 2000  # characters
+_MOST_SENTENCES, _MOST_TOPICS = 50, 4096
+_LARGEST_MESSAGE, _PIECE = 1 << 24, 1 << 16  # bytes
 
 
 @dataclass
 class RawTopic:
-    """Serialised messages of one topic in the order of the files, one behind the other."""
+    """Serialised messages of one topic, concatenated in the order of the files."""
 
     name: str
     type: str
-    wanted: bool  # whether they are kept; others are only counted
+    wanted: bool  # False: messages are only counted
     count: int = 0
     times: "array[int]" = field(default_factory=lambda: array("q"))  # of each message, ns
     lengths: "array[int]" = field(default_factory=lambda: array("q"))  # bytes
@@ -59,7 +60,7 @@ class RawTopic:
 
 @dataclass
 class RawTopics:
-    """The topics of all files of a bag by name and type, and what is to be said of it."""
+    """The topics of all files of a bag, by name and type, and findings about it."""
 
     wanted: Callable[[str, str], bool]
     topics: dict[tuple[str, str], RawTopic] = field(default_factory=dict)
@@ -67,7 +68,7 @@ class RawTopics:
     budget: Budget = field(default_factory=lambda: border.reading_budget(0))
 
     def topic(self, name: str, msgtype: str, encoding: str) -> RawTopic:
-        """The topic to add messages to, created when it is new."""
+        """The topic with this name and type, created if it is new."""
         parts = msgtype.split("/")  # old bags have sensor_msgs/Temperature
         key = printable(name), printable("/msg/".join(parts) if len(parts) == 2 else msgtype)
         if key not in self.topics:
@@ -86,7 +87,7 @@ class RawTopics:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag's, by name or content. InputError: no folder or file to read."""
+    """True if a path is a bag by name or content. InputError: it is no folder or readable file."""
     border.require_there(path)
     if path.is_dir():
         return True
@@ -101,10 +102,10 @@ def _head(path: Path) -> bytes:
 
 
 def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
-    """Messages of a bag's folder or file whose topic and type are `wanted`; what cannot be read is
-    a finding. Raises InputError: no bag, no message, or a damaged sqlite3 file."""
+    """Messages, from a bag's folder or file, whose topic and type are `wanted`; findings say what
+    could not be read. Raises InputError: no bag, no message, or a damaged sqlite3 file."""
     topics = RawTopics(wanted)
-    files, promised = _files_of(path, topics)
+    files, announced = _files_of(path, topics)
     topics.budget = border.reading_budget(sum(file.stat().st_size for file in files))
     for file in files:
         try:
@@ -115,7 +116,7 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
                     if ended := _decompress_file(file, plain, topics.budget):
                         topics.remark(file.name, f"{ended}; read up to there")
                     head = _head(plain)
-                # By content; by name where the beginning is damaged.
+                # The content decides; the name, if the beginning is damaged.
                 is_mcap = head.startswith(_MCAP_MAGIC)
                 if head.startswith(_SQLITE_MAGIC) or (plain.suffix == ".db3" and not is_mcap):
                     _read_sqlite(plain, topics, file)
@@ -127,10 +128,10 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
             topics.remark(file.name, f"cannot be read: {error.strerror or error}")
     found = topics.topics.values()
     if not any(topic.count for topic in found):
-        said = [f"nothing can be read: {f.subject}: {f.text}" for f in topics.findings[:1]]
-        why = (*said, "the bag holds no messages (did its recorder die?)")[0]
+        first = [f"nothing can be read: {f.subject}: {f.text}" for f in topics.findings[:1]]
+        why = (*first, "the bag holds no messages (did its recorder die?)")[0]
         raise InputError(f"{path}: {why}")
-    for name, count in promised.items():
+    for name, count in announced.items():
         missing = count - sum(topic.count for topic in found if topic.name == name)
         if missing > 0:
             share = f"{missing} of {count} messages ({missing / count:.1%})"
@@ -140,15 +141,15 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
 
 
 def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]]:
-    """The storage files in order, and how many messages of each topic the metadata promises."""
+    """The storage files in order, and how many messages of each topic the metadata announces."""
     if not is_bag(path):
         how = ""
         if path.suffix.lower() in _TABLES:
-            how = f"; make a record of a table: sma-bench import {path.name} --out {path.stem}"
+            how = f"; to make a bag from a table: sma-bench import {path.name} --out {path.stem}"
         raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}")
     if not path.is_dir():
         return [path], {}
-    # In order of their numbers; links out of the folder are not followed.
+    # Files in order of their numbers; links out of the folder are not followed.
     with errors_in(f"{path}: cannot be read"):
         names = {file.name for file in path.iterdir() if file.is_file()}
         own = {name for name in names if border.is_inside(path / name, path)}
@@ -157,92 +158,91 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
             topics.remark(name, "a link out of the bag's folder; not followed")
     numbered = {re.sub(r"\d+", lambda m: m[0].zfill(9), n): n for n in own if n.endswith(_SUFFIXES)}
     present = [path / numbered[key] for key in sorted(numbered)]
-    listed, promised = list[str](), Counter[str]()
+    listed, announced = list[str](), Counter[str]()
     try:
         if METADATA in own:
             about = border.read_yaml(path / METADATA, aliases=True)["rosbag2_bagfile_information"]
             for entry in about.get("topics_with_message_count") or ():
                 topic = _of(str, entry["topic_metadata"]["name"])
-                promised[topic] += _of(int, entry["message_count"])
+                announced[topic] += _of(int, entry["message_count"])
             listed = [PurePath(_of(str, name)).name for name in about["relative_file_paths"]]
             _remark_provenance(about.get("custom_data"), topics)
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
-        promised.clear()
+        announced.clear()
         topics.remark(METADATA, "cannot be understood; the storage files next to it are read")
     if METADATA not in names:
         if not present:
             why = f"the folder holds no {METADATA} and no .mcap or .db3 file"
             raise InputError(f"{path}: not a bag: {why}")
         if len({re.sub(r"_\d+$", "", f.name.partition(".")[0]) for f in present}) > 1:
-            why = f"files of several bags: {', '.join(file.name for file in present[:3])}"
+            why = f"files of several bags in it: {', '.join(file.name for file in present[:3])}"
             how = "expected one bag, or the path of a file"
-            raise InputError(f"{path}: no {METADATA} in the folder, and {why}; {how}")
-        read = f"{len(present)} storage file{'s' * (len(present) > 1)} next to it read"
+            raise InputError(f"{path}: no {METADATA} in the folder, but {why}; {how}")
+        read = f"{len(present)} storage file{'s' * (len(present) > 1)} read without it"
         topics.remark(METADATA, f"is missing; {read}", "info")
-    # The files that it lists, then others: who died right after a split has not listed the newest.
+    # The listed files, then others: a recorder that died after a split did not list the newest.
     listed = [name for name in dict.fromkeys(listed) if len(name) <= _LONGEST_NAME]
     for name in listed:
         if name not in names:
             topics.remark(name, f"the storage file {name} is missing; the others are read")
     extra = [file for file in present if file.name not in listed]
     for file in extra if listed else ():
-        topics.remark(file.name, f"not listed in {METADATA}; read all the same")
+        topics.remark(file.name, f"not listed in {METADATA}, but read")
     numbers = [re.search(r"_(\d+)\.", file.name) for file in extra if not listed]
     for before, after in pairwise(number for number in numbers if number):
         first, last = int(before[1]) + 1, int(after[1]) - 1
         if first <= last:
-            topics.remark(after.string, f"files {first} to {last} in front of it are missing")
-    return [path / name for name in listed if name in own] + extra, promised
+            topics.remark(after.string, f"files {first} to {last} before it are missing")
+    return [path / name for name in listed if name in own] + extra, announced
 
 
 def _of(kind: type, value: Any) -> Any:
-    """A value of its type: the text of another may be gigabytes, by YAML's aliases."""
+    """The value, if of that type: str() of another may be gigabytes long, by YAML's aliases."""
     if not isinstance(value, kind):
         raise TypeError(kind.__name__)
     return value
 
 
 def _remark_provenance(custom: Any, topics: RawTopics) -> None:
-    """Where an imported bag comes from."""
     text = custom.get(PROVENANCE) if isinstance(custom, dict) else None
     if not isinstance(text, str):
         return
     try:
-        said = border.read_json_object(text, PROVENANCE)
+        source = border.read_json_object(text, PROVENANCE)
     except InputError as error:
         topics.remark(METADATA, str(error))
         return
-    how, repeated = said.get("how"), said.get("repeated")
-    parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
+    how, repeated = source.get("how"), source.get("repeated")
+    parts = [f"imported from {source.get('source', '?')}, sha256 {source.get('sha256', '?')}"]
     parts += map(str, how[:_MOST_SENTENCES] if isinstance(how, list) else ())
     topics.remark("record", border.shown("; ".join(parts), _LONGEST_PROVENANCE), "info")
     if isinstance(repeated, int) and repeated > 0:
-        text = f"{repeated} rows had the stamp of the row before and were spread evenly at import"
+        text = f"{repeated} rows repeated the stamp of the row before and were spread at import"
         topics.remark("record", text, repeated=float(repeated))
 
 
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
-_CHECK_TIME_EVERY, _BLOCK = 1 << 17, 512  # bytes, the latter of the smallest block of disks
+_CHECK_TIME_EVERY, _BLOCK = 1 << 17, 512  # bytes; the latter is the smallest block of disks
 
 
 class _Damage(Exception):
-    """Bytes that are no record."""
+    """Bytes that are no valid mcap record."""
 
 
 def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
-    """Add the messages of an mcap file up to damage; raises OSError, OverBudget."""
+    """Add the messages of an mcap file up to the first damage. Raises OSError, OverBudget."""
     if not (size := path.stat().st_size):
         topics.remark(name, "the file is empty")
         return
-    schemas = {0: ""}  # of a channel without one
+    schemas = {0: ""}  # 0: a channel without a schema
     channels: dict[int, RawTopic] = {}
     reached, orphans, ended, damage = len(_MCAP_MAGIC), 0, False, ""
 
     def take(buffer: bytes | mmap.mmap, position: int, inside: int | None = None) -> None:
-        """Records of the file, or of a chunk that begins `inside` it. Raises _Damage,
-        struct.error."""
+        """Read the records of the file, or of a chunk; `inside`: offset that makes a position in
+        the chunk's records one in the file. Raises _Damage, struct.error."""
         nonlocal reached, orphans, ended
         end, unpack, checked = len(buffer), _RECORD.unpack_from, position
         topic: RawTopic | None = None
@@ -255,18 +255,18 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
             stop = start + length
             if not 0 < opcode < 0x80:
                 if topic is not None and topic.wanted:
-                    # A message before zeros may have begun inside them: lost power leaves blocks.
+                    # Lost power leaves blocks of zeros, which may be the end of the last message.
                     before = _RECORD.size + _MESSAGE_HEAD.size + topic.lengths[-1]
                     block = position - ((inside or 0) + position) % _BLOCK
                     is_torn = position - before < block < position
                     if is_torn and not any(buffer[block : position + 1]):
                         del topic.data[-topic.lengths.pop() :], topic.times[-1]
                         topic.count -= 1
-                raise _Damage("the bytes make no sense")
+                raise _Damage("the bytes are no mcap record")
             if stop > end:
                 if inside is not None:
                     raise _Damage("a chunk ends inside a record")
-                # The whole records of a chunk that the file ends in; no checksum speaks for them.
+                # The file ends inside a chunk: its complete records, which no checksum covers.
                 with suppress(_Damage, struct.error):
                     if opcode == _CHUNK:
                         begun = _unpacked(buffer[start:], topics.budget.left, topics.budget)
@@ -281,7 +281,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                     begin = start + _MESSAGE_HEAD.size
                     topic.add(time, buffer[begin:stop] if topic.wanted else b"")
             elif opcode == _CHUNK:
-                if inside is not None:  # thousands in each other would end the stack
+                if inside is not None:  # thousands of nested ones would overflow the stack
                     raise _Damage("a chunk inside a chunk")
                 _, _, plain, checksum, _ = _CHUNK_HEAD.unpack_from(buffer[start:stop])
                 data = _unpacked(buffer[start:stop], plain, topics.budget)
@@ -298,13 +298,13 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                 if schema not in schemas:
                     raise _Damage(f"the topic {printable(called)} has an unknown type")
                 if number not in channels:
-                    kind = schemas[schema]  # none is no damage, but no ROS topic either
+                    kind = schemas[schema]  # "" is no damage, but no ROS topic either
                     channels[number] = RawTopic(called, "", False)
                     if kind:
                         channels[number] = topics.topic(called, kind, _string(content, after)[0])
             elif opcode == _DATA_END and inside is None:
-                if length != 4:  # of a checksum
-                    raise _Damage("the bytes make no sense")
+                if length != 4:  # bytes of a checksum
+                    raise _Damage("the bytes are no mcap record")
                 ended = True
             position = stop
             if inside is None:
@@ -323,11 +323,11 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
     lost = size - reached
     share = f"{lost} bytes at most ({lost / size:.1%})"
     if damage:
-        text = f"damaged at byte {reached}: {damage}; what comes after, {share}, is lost"
+        text = f"damaged at byte {reached}: {damage}; the rest, {share}, is lost"
         topics.remark(name, text, bytes=lost)
     elif not ended:
-        text = "has no end: it is still being recorded, or its writer died; what is whole is read"
-        topics.remark(name, text + f", {share} are not" * bool(lost), bytes=lost)
+        text = "has no end: it is still being recorded, or its writer died; whole messages are read"
+        topics.remark(name, text + f", {share} are lost" * bool(lost), bytes=lost)
 
 
 def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
@@ -355,7 +355,7 @@ def _string(buffer: bytes, position: int) -> tuple[str, int]:
     return buffer[position + 4 : end].decode(errors="replace"), end
 
 
-_STEPS = 10_000  # of SQLite's machine, between two looks at the clock
+_STEPS = 10_000  # instructions of SQLite between two checks of the time
 # A damaged schema can make sqlite3 fail to decode its own error message.
 _READ_ERRORS = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
@@ -366,14 +366,14 @@ _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP 
 
 
 def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
-    """Add the messages of one sqlite3 file, `origin` before decompression. InputError: damaged."""
+    """Add the messages of a sqlite3 file, decompressed from `origin`. InputError: it is damaged."""
     for journal in (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal")):
         if journal.is_file() and not journal.is_symlink() and journal.stat().st_size:
-            text = f"its writer died: what {journal.name} holds is not read; sqlite3 takes it up: "
+            text = f"its writer died: messages in {journal.name} are not read; to merge them, run: "
             topics.remark(path.name, text + f"sqlite3 {path.name} .tables")
     budget = topics.budget
     try:
-        # SQLite reads what a cut has taken from the last page as zeros, and finds fewer rows there.
+        # SQLite reads the missing end of a cut page as zeros, and silently finds fewer rows there.
         head = _head(path)
         page, pages = (int.from_bytes(head[a:b]) for a, b in ((16, 18), (28, 32)))
         page = 65536 if page == 1 else page
@@ -386,14 +386,14 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
             database.set_progress_handler(budget.is_over, _STEPS)
             query = database.execute
             query("PRAGMA trusted_schema = OFF")
-            # A view may be any program, one without end too.
+            # A view can be any program, even an endless one.
             tables = query("PRAGMA main.table_list").fetchall()
             kinds = {row[1].decode(errors="replace").lower(): row[2] for row in tables}
             for name in ("messages", "topics"):
                 if kinds.get(name) != b"table":
-                    raise sqlite3.DatabaseError(f"{name} is no table")
+                    raise sqlite3.DatabaseError(f"{name} is not a table")
                 if any(c[6] for c in query(f"PRAGMA main.table_xinfo({name})").fetchall()):
-                    raise sqlite3.DatabaseError(f"{name} has columns that are computed")
+                    raise sqlite3.DatabaseError(f"{name} has computed columns")
             found = {number: topics.topic(*(text.decode(errors="replace") for text in texts))
                      for number, *texts in query(_TOPICS) if isinstance(number, int)
                      and all(isinstance(text, bytes) for text in texts)}
@@ -405,7 +405,7 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
             last = -1
             for row, number, time, data in rows_of(_MESSAGES, wanted):
                 if not isinstance(row, int) or row <= last:
-                    raise sqlite3.DatabaseError("rows lead back into the table")
+                    raise sqlite3.DatabaseError("the rows of messages are out of order")
                 last = row
                 budget.take(len(data) + 1)
                 found[number].add(time, data)
@@ -414,14 +414,14 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
     except _READ_ERRORS as error:
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
             budget.check()
-            raise KeyboardInterrupt from None  # a signal's exception does not get through SQLite
+            raise KeyboardInterrupt from None  # SQLite swallows the exception of a signal handler
         reason = printable(" ".join(str(error).split()))
         how = f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
-        raise InputError(f"{origin}: damaged: {reason}; what can be saved of it: {how}") from None
+        raise InputError(f"{origin}: damaged: {reason}; to save what is left: {how}") from None
 
 
 def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
-    """Decompress a zstd file as far as it goes, and the budget does; what ended that too early."""
+    """Decompress a zstd file as far as possible; why it ended early, or ""."""
     with zstd.open(source) as compressed, target.open("wb") as output:
         try:
             while plain := compressed.read(_PIECE):
@@ -435,7 +435,7 @@ def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
 
 
 def decompress_messages(topic: RawTopic, budget: Budget) -> None:
-    """Messages compressed by themselves become what they unfold to, or empty. Raises OverBudget."""
+    """Decompress messages that are compressed one by one; damaged ones become empty. OverBudget."""
     if not topic.data.startswith(_ZSTD_MAGIC):
         return
     plain, lengths, position = bytearray(), array("q"), 0

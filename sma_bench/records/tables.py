@@ -1,5 +1,5 @@
-"""Tables of loggers and instruments: text, Excel, MATLAB, HDF5 and Parquet files as named columns.
-Cells are taken as they are written; what unfolds is read in a process of its own (`unfold.py`)."""
+"""Reads tables of loggers and instruments (text, Excel, MATLAB, HDF5, Parquet) as named columns, in
+the units of the file. Packed formats are read in a process of their own (`unfold.py`)."""
 
 import csv
 import hashlib
@@ -23,20 +23,20 @@ from sma_bench.arrays import Array, IntArray
 from sma_bench.border import MEGABYTE, decoded_lines, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError, errors_in
 from sma_bench.records import cells as read
-from sma_bench.records.cells import MISSING, WORDS, cell_kind, parse_unit, said, split_title
+from sma_bench.records.cells import MISSING, WORDS, cell_kind, message, parse_unit, split_title
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
 MOST_COLUMNS, LONGEST_NAME = 1000, 120
-_FEWEST = 3  # rows of a table beside a larger one
-_SHORT = 0.05  # of the rows: as many without their last cells are sparse, not damaged
-_SAMPLE, _LOOK_AT = 1000, 400  # cells, for what a column holds; rows, for the separator
+_FEWEST = 3  # rows; fewer beside a larger table are notes
+_SHORT = 0.05  # of the rows; if more lack their last cells, these are empty, not lost
+_CELL_SAMPLE, _ROW_SAMPLE = 1000, 400  # to find the kind of a column, to find the separator
 _END_OF_HEADER = "***End_of_Header***"
-_RULE = "-/|:=,"  # signs that part titles and are none
+_RULE = "-/|:=,"  # characters between titles
 LARGEST_FILE = 200 * MEGABYTE
-_LIBRARIES = 512 * MEGABYTE  # of addresses: what a format's reader needs, of whose threads each has
+_LIBRARIES = 512 * MEGABYTE  # address space for the libraries of a reader and their threads
 _ONE_THREAD = {"MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1",
                "ARROW_DEFAULT_MEMORY_POOL": "system"}
-_TESTS = "stress", "force", "mass", "length"  # of which a line states one for each test
+_TESTS = "stress", "force", "mass", "length"  # a line that states one of these begins a new test
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
 _MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
 # What a file begins with, and its reader in unfold.py.
@@ -50,16 +50,15 @@ class Column:
 
     name: str  # unique in the file: its title, or its path (`log/u`)
     title: str  # without unit
-    unit: str  # as written, "" where none is
+    unit: str  # as written, "" if none
     values: Array  # (n,), NaN where a cell is empty
-    group: str = ""  # sheet or folder it lies in
-    start: float | None = None  # epoch s of 0 where the column holds dates
-    fields: int = 0  # of its clock times: 0 for numbers, 2 where hh:mm and mm:ss look alike
-    table: int = 0  # of the file, whose rows it shares
+    group: str = ""  # its sheet or folder
+    start: float | None = None  # epoch (s) of value 0, if the column has dates
+    fields: int = 0  # 0 for numbers, else `Moment.fields` of its clock times
+    table: int = 0  # index of its table in the file
 
     @property
     def span(self) -> str:
-        """Its lowest and highest value."""
         return f"{np.nanmin(self.values):.6g} to {np.nanmax(self.values):.6g}"
 
 
@@ -68,19 +67,19 @@ class Table:
     """Rows of numbers under one set of titles."""
 
     name: str  # of its sheet
-    columns: tuple[Column, ...]  # of numbers or moments
+    columns: tuple[Column, ...]  # of numbers, dates or times
     lines: IntArray  # (n,) line of each row in the file, from 1
-    rows: int  # of numbers in the file, left out or not
-    ignored: dict[str, str] = field(default_factory=dict)  # columns of no numbers, each with why
+    rows: int  # in the file, those left out included
+    ignored: dict[str, str] = field(default_factory=dict)  # other columns, with the reason
     above: tuple[tuple[str, ...], ...] = ()  # lines above the titles, cells of each
     marks: tuple[tuple[int, str], ...] = ()  # (row, text) of lines between the rows
-    left_out: tuple[str, ...] = ()  # of the rows, and why
-    notes: tuple[str, ...] = ()  # what was decided
+    left_out: tuple[str, ...] = ()  # rows and cells left out, with the reason
+    notes: tuple[str, ...] = ()  # assumptions made while reading
 
 
 @dataclass(frozen=True)
 class Account:
-    """What became of a file: its rows, columns used (and as what), ignored (and why), asked."""
+    """What became of a file's rows and columns: used (as what), ignored (why), asked about."""
 
     rows: int
     rows_used: int
@@ -103,7 +102,7 @@ class Account:
 
 @dataclass(frozen=True)
 class TableFile:
-    """A file's tables, whose columns have unique names, and the lines that are in none of them."""
+    """A file's tables, with unique names of columns, and the lines outside them."""
 
     path: Path
     format: str
@@ -113,16 +112,15 @@ class TableFile:
 
     @property
     def columns(self) -> tuple[Column, ...]:
-        """Of all tables."""
         return tuple(column for table in self.tables for column in table.columns)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was decided or left out while reading."""
+        """What was assumed or left out while reading."""
         return tuple(note for t in self.tables for note in (*t.notes, *t.left_out))
 
     def with_tables(self, tables: Sequence[Table], outside: Sequence[str]) -> "TableFile":
-        """The same file with tables whose columns are named and counted anew."""
+        """The same file with other tables; their columns get unique names and the table's index."""
         seen, named = Counter[str](), []
         for k, table in enumerate(tables):
             columns = []
@@ -137,7 +135,7 @@ class TableFile:
 
     def account(self, tables: Sequence[Table], rows_used: int, used: dict[str, str],
                 reasons: Mapping[str, str], asked: Sequence[str] = ()) -> Account:
-        """What became of some tables; `reasons` of columns that are not used, "" of all others."""
+        """Account of some tables; `reasons`: why columns are not used, "" for all others."""
         held = [column.name for table in tables for column in table.columns]
         ignored = {name: reasons.get(name, reasons[""]) for name in held if name not in used}
         left_out: list[str] = []
@@ -153,7 +151,7 @@ class TableFile:
 
 
 def read_table_file(path: str | Path) -> TableFile:
-    """Read a table whose format its content decides. InputError: it cannot be read."""
+    """Read a table, in the format of its content. InputError: it cannot be read."""
     path, content = Path(path), read_bytes(path, LARGEST_FILE)
     with errors_in(str(path)):
         file = _read(content)
@@ -162,16 +160,16 @@ def read_table_file(path: str | Path) -> TableFile:
     return replace(file, path=path)
 
 
-@lru_cache(maxsize=2)  # several readers look at one file in turn
+@lru_cache(maxsize=2)  # several readers try the same file
 def _read(content: bytes) -> TableFile:
     if content.startswith(b"\xd0\xcf\x11\xe0"):
-        raise InputError("an Excel file of before 2007 (.xls), expected .xlsx: save it as that")
+        raise InputError("an old Excel file (.xls), expected .xlsx: save it as that")
     reader = next(name for begin, name in _FORMATS.items() if content.startswith(begin))
     tables, outside = list[Table](), list[str]()
     if reader == "text":
-        # The separator is the one by which most rows are rows of numbers; None stands for blanks.
+        # The separator that gives the most rows of numbers; None stands for blanks.
         lines = decoded_lines(content)
-        sample = [line for line in lines if line.strip()][:_LOOK_AT]
+        sample = [line for line in lines if line.strip()][:_ROW_SAMPLE]
         counts = {s: sum(read.is_number_row(cells) for _, cells in _split(sample, s))
                   for s in ("\t", *";|,", None)}  # fmt: skip
         separator = next(s for s, n in counts.items() if n >= 0.98 * max(counts.values()))
@@ -191,7 +189,7 @@ def _read(content: bytes) -> TableFile:
 
 
 def _unfolded(content: bytes, reader: str) -> list[Any]:
-    import msgspec  # which a robot has not, and its nodes import the records
+    import msgspec  # not installed on a robot, whose nodes import this package, too
     budget = reading_budget(len(content))
     seconds, script = math.ceil(budget.seconds), Path(__file__).with_name("unfold.py")
     size, there = str(_LIBRARIES + budget.size), os.environ | _ONE_THREAD
@@ -202,7 +200,7 @@ def _unfolded(content: bytes, reader: str) -> list[Any]:
     if child.returncode:
         last = printable(child.stderr.decode(errors="replace").strip().rpartition("\n")[2])[:200]
         why = f"{child.returncode}: {last}".removesuffix(": ")
-        raise InputError(f"not a readable {reader} file: it ends its reader ({why})")
+        raise InputError(f"not a readable {reader} file: it crashes its reader ({why})")
     error, found = msgspec.msgpack.decode(child.stdout, type=tuple[str, list[Any]])
     if error:
         raise InputError(printable(error))
@@ -211,14 +209,14 @@ def _unfolded(content: bytes, reader: str) -> list[Any]:
 
 def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
     """Stripped cells of lines, quoted as in RFC 4180; a line quoted as a whole is unwrapped."""
-    if separator is None:  # a date and its clock are one cell, as are a clock and its AM or PM
+    if separator is None:  # date, clock time and AM or PM are one cell
         joined = (re.sub(r"(?<=\d) (?=\d+:\d\d|[AaPp]\.?[Mm]\b)", "\1", s) for s in lines)
         parted = (line.replace('"', " ").split() for line in joined)
         return [(n, [c.replace("\1", " ") for c in row]) for n, row in enumerate(parted, 1)]
     if not any('"' in line for line in lines):
         return [(n, [c.strip() for c in s.split(separator)]) for n, s in enumerate(lines, 1)]
     rows, before = list[Row](), 0
-    # A comment's sign before a quote would end the quoting.
+    # A comment sign in front of a quote would make it part of the text.
     plain = (re.sub(r'^\s*[#%]+\s*(?=")', "", f"{line.rstrip()} ") for line in lines)
     reader = csv.reader(plain, delimiter=separator, skipinitialspace=True)
     try:
@@ -235,8 +233,8 @@ def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
 
 
 def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
-    """Tables of the arrays of numbers, those of one length together, and what else there is."""
-    # Texts called unit, label or name speak for the arrays in their folder.
+    """Tables of the arrays of numbers, one for each length; and names of what was not read."""
+    # A text called unit, label or name describes the arrays in its folder.
     beside: dict[tuple[str, ...], dict[str, Any]] = defaultdict(dict)
     leaves = [(tuple(path), value, about) for path, value, about in leaves]
     for path, value, _ in leaves:
@@ -254,22 +252,22 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         if not isinstance(value, list) or not isinstance(value[-1], bytes):
             continue
         array = np.frombuffer(value[2], value[0]).reshape(value[1])
-        if value[0] == "<i8":  # moments in ns since 1970
+        if value[0] == "<i8":  # ns since 1970
             seconds, start = (array[:, 0] - array[0, 0]) / 1e9, array[0, 0] / 1e9
             columns[len(array)].append(Column(label, last, "s", seconds, group, float(start), 3))
             continue
         known = {_MEANS[key]: v for key, v in about.items() if key in _MEANS}
         scale = {key: v for key, v in known.items() if isinstance(v, float)}
-        said_so = [f"{key} {scale[key]:g}" for key in ("scale", "offset") if key in scale]
-        if said_so:
-            notes[len(array)].append(f"{label}: {' and '.join(said_so)} of its attributes applied")
+        applied = [f"{key} {scale[key]:g}" for key in ("scale", "offset") if key in scale]
+        if applied:
+            notes[len(array)].append(f"{label}: {' and '.join(applied)} of its attributes applied")
         array = np.where(array == scale.get("fill"), np.nan, array)
         array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
         is_time, many = last.lower() in ("time", "t", "tout"), array.shape[1]
         named = {} if is_time else dict(beside.get(folder, {}))
         named |= {key: known[key] for key in ("unit", "title") if isinstance(known.get(key), str)}
         if is_time and any(p[-1] == "values" and p[: len(folder)] == folder for p, _, _ in leaves):
-            named.setdefault("unit", "s")  # of a Simulink structure with time
+            named.setdefault("unit", "s")  # in a Simulink "structure with time"
         title, unit = split_title(named.get("title") or last)
         ends = [f" {k + 1}" for k in range(many)] if many > 1 else [""]
         found = [(label + end, title + end, named.get("unit", unit)) for end in ends]
@@ -292,9 +290,9 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
 
 def tables_of(rows: Sequence[Row], separator: str | None, name: str,
               lines: Sequence[str] = ()) -> tuple[list[Table], list[str]]:
-    """Tables of a text or sheet, parted by `separator` (None for blanks, "" of a sheet), and the
-    lines in none. InputError: titles or cells that cannot be understood."""
-    headers, start = set[int](), 0  # rows of LabVIEW's headers, which hold numbers of their own
+    """Tables in a text or sheet (`separator`: None for blanks, "" for a sheet), and the lines
+    outside them. InputError: titles or cells that cannot be understood."""
+    headers, start = set[int](), 0  # rows of LabVIEW headers, whose numbers are no data
     for k, (_, cells) in enumerate(rows):
         first = str(cells[0]) if cells else ""
         start = k if first == "Channels" else start
@@ -305,7 +303,7 @@ def tables_of(rows: Sequence[Row], separator: str | None, name: str,
         if k in headers:
             between.append(row)
         elif is_plain and len(row[1]) == width and not between:
-            blocks[-1].rows.append(row)  # it begins with figures and signs alone
+            blocks[-1].rows.append(row)  # quickly: its first cells have only digits and signs
         elif not read.is_number_row(row[1]):
             between += [row] if any(map(cell_kind, row[1])) else []
         else:
@@ -315,7 +313,7 @@ def tables_of(rows: Sequence[Row], separator: str | None, name: str,
                 blocks.append(_Block(separator, lines, between, [], []))
             between, width = [], len(row[1])
             blocks[-1].rows.append(row)
-    # A line of numbers among notes is one of them.
+    # A few rows of numbers beside a larger table are notes.
     fewest = min(_FEWEST, max((len(block.rows) for block in blocks), default=0))
     tables, heads = list[Table](), list[Row]()
     for block in blocks:
@@ -338,13 +336,13 @@ def _text(cells: Sequence[Any]) -> str:
 
 
 def _specimen(rows: Sequence[Row]) -> str:
-    """The last line that counts specimens, as in Specimen 2, "" where none does."""
+    """The last line that numbers a specimen, such as Specimen 2, or ""."""
     form = rf"(?i)\W*(?:{'|'.join(WORDS['specimens'])})\W*(?:no|nr|id)?\W*\d+\W*\Z"
     return next((text for _, cells in rows[::-1] if re.match(form, text := _text(cells))), "")
 
 
 def _units(cells: Sequence[str]) -> list[str]:
-    """Cells without brackets where all are units, else none."""
+    """The cells without brackets if all are units, else []."""
     bare = [text.strip("()[]{} ") for text in cells]
     are_units = all(parse_unit(text) or text == "-" for text in bare if text)
     return bare if are_units and any(bare) else []
@@ -352,25 +350,25 @@ def _units(cells: Sequence[str]) -> list[str]:
 
 @dataclass
 class _Block:
-    """Rows of numbers one after the other, the lines before them, and (row, text) between them."""
+    """Rows of numbers that may be one table."""
 
     separator: str | None
-    lines: Sequence[str]
-    heads: list[Row]
+    lines: Sequence[str]  # of the file
+    heads: list[Row]  # lines before the rows
     rows: list[Row]
-    marks: list[tuple[int, str]]
+    marks: list[tuple[int, str]]  # (row, text) of lines between the rows
 
     def takes(self, row: Row, between: list[Row]) -> bool:
-        """Whether a row belongs to these: of one width, with texts or the same titles between."""
+        """True if a row continues the block: equally wide, after text or the same titles."""
         if not between and row[0] == self.rows[-1][0] + 1:
             return True
         width = len(self.rows[0][1])
         if len(row[1]) != width:
             return False
         again, units, notes = self.titles(between, width)
-        if not any(again) or "n" in map(cell_kind, again):  # a number's neighbour overflowed
+        if not any(again) or "n" in map(cell_kind, again):  # 20.0,****,****: cells that overflowed
             return True
-        # Titles that come again begin a table only with other units, or a number as the next load.
+        # Repeated titles begin a new table only with other units, load or specimen.
         titles, before, above = self.titles(self.heads, width)
         stated = any(read.number_with_unit(_text(c), q) for _, c in notes for q in _TESTS)
         is_next = _specimen(notes) not in ("", _specimen(above))
@@ -378,14 +376,14 @@ class _Block:
         return again == titles and not (is_other or stated or is_next)
 
     def begins_with_index(self) -> bool:
-        """Whether rows begin with a number that counts them, or with a name."""
+        """True if the first cells count the rows or are all text."""
         first = [cells[0] for _, cells in self.rows]
         if (numbers := read.plain_numbers(first)) is None:
             return all(cell_kind(c) == "t" for c in first)
         return len(numbers) > 1 and bool(np.all(np.diff(numbers) == 1.0))
 
     def titles(self, heads: Sequence[Row], width: int) -> tuple[list[str], list[str], list[Row]]:
-        """Titles (moved behind an index without one), units, and the lines above them."""
+        """Titles ("" for an index that has none), units, and the lines above them."""
         texts = [self.title_cells(row, width) for row in heads[-3:]][::-1]
         remarks: list[Row] = []  # between titles and numbers
         for back, titles in enumerate(texts):
@@ -407,7 +405,7 @@ class _Block:
         return [], [], list(heads)
 
     def title_cells(self, row: Row, width: int) -> list[str]:
-        """Cells of a title row without a comment's sign; two blanks part where as many as cells."""
+        """Cells of a title row without a comment sign, split at two blanks if that fits `width`."""
         line, cells = row
         texts = [" ".join(str(cell).split()) for cell in cells]
         if self.separator is None and len(cells) > 1:
@@ -425,31 +423,31 @@ class _Block:
         return texts
 
     def note(self, row: Row) -> tuple[str, ...]:
-        """Cells of a line above the table, in which 12,3 is one number whatever parts the rows."""
+        """Cells of a line above the table; 12,3 is one number even if commas separate the rows."""
         line, cells = row
         if self.separator == "," and '"' not in (text := self.lines[line - 1]):
             cells = [cell.strip() for cell in re.split(r"(?<!\d),|,(?!\d)", text)]
         return tuple(str(cell) for cell in cells if cell != "")
 
     def table(self, name: str) -> Table:
-        """The table of the block, with what is left out of it."""
+        """The block as a table. InputError: rows that differ in width, or from their titles."""
         left_out: list[str] = []
         body, is_sheet = self.rows, self.separator == ""
         widths = Counter(len(cells) for _, cells in body)
         width = max(widths) if is_sheet else widths.most_common(1)[0][0]
         widest = max((len(self.title_cells(row, width)) for row in self.heads[-3:]), default=2)
         while width > max(widest, 2) and not any(any(map(str, c[width - 1 :])) for _, c in body):
-            width -= 1  # separators at the ends of lines
+            width -= 1  # separators at line ends
         if width > MOST_COLUMNS:
             raise InputError(f"{width} columns, expected at most {MOST_COLUMNS}")
         titles, units, above = self.titles(self.heads, width)
         of_labview = {str(cells[0]): list(map(str, cells[1:])) for _, cells in self.heads if cells}
-        if titles and _END_OF_HEADER in of_labview:  # one column of times, or one a channel
+        if titles and _END_OF_HEADER in of_labview:  # one column of times, or one per channel
             x, of_y = titles[0], iter(of_labview.get("Y_Unit_Label", []))
             units = ["s" if title == x else next(of_y, "") for title in titles]
             named = of_labview.get("X_Dimension", titles)[0]
             titles = [named if title == x else title for title in titles[:width]]
-        # A file cut within its last line, rows without their last cells, and damaged ones.
+        # A last line that is cut short, rows without their last cells, damaged rows.
         if not is_sheet and len(body) > 1 and len(body[-1][1]) < width <= len(body[-2][1]):
             left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
             body = body[:-1]
@@ -463,12 +461,13 @@ class _Block:
                 left_out.append(f"line {line}: {_text(cells[width:])!r} beside the table, left out")
         columns = list(zip_longest(*(cells[:width] for _, cells in body), fillvalue=""))
         if len(titles) == width + 1 and read.title_meanings(titles[-1]) == ("counter",):
-            titles = titles[:-1]  # a comment that no row has
+            titles = titles[:-1]  # a column of comments without any
         if titles and len(titles) != width and not is_sheet:
             line, cells = body[0]
-            hint = said("commas" if self.separator == "," and width > len(titles) else "one_title")
-            raise InputError(said("mismatch", titles=len(titles), width=width, line=line,
-                                  cells=_text(cells)[:40], hint=hint))  # fmt: skip
+            are_commas = self.separator == "," and width > len(titles)
+            hint = message("commas" if are_commas else "one_title")
+            raise InputError(message("mismatch", titles=len(titles), width=width, line=line,
+                                     cells=_text(cells)[:40], hint=hint))  # fmt: skip
         titles, units = ([*texts, *[""] * width][:width] for texts in (titles, units))
         lines = np.array([line for line, _ in body], dtype=np.int64)
         made, ignored, notes = _columns(columns, titles, units, name, lines)
@@ -480,7 +479,7 @@ class _Block:
 
 
 def _finer(clock: Column, title: str, values: Array) -> Column | None:
-    """A clock of whole seconds with the fractions (n,) of the column behind it, if it holds any."""
+    """A clock of whole seconds with fractions (n,) from the next column; None if that has none."""
     part = WORDS["fractions"].get(read.plain_title(title), np.nan) * values
     if clock.fields != 3 or np.any(clock.values % 1.0 > 0.0) or not np.all(part // 1.0 == 0.0):
         return None
@@ -491,19 +490,18 @@ def _finer(clock: Column, title: str, values: Array) -> Column | None:
 
 def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str],
              group: str, lines: IntArray) -> tuple[list[Column], dict[str, str], list[str]]:
-    """Columns of numbers and moments, what else there is and why, and remarks."""
-    # What most of a column's cells are: "n" numbers, "d" moments, "t" texts, "" nothing.
+    """Columns of numbers, dates and times; the other columns, with reasons; and remarks."""
     plain = [read.plain_numbers(cells) for cells in texts]
     kinds = []
     for cells in texts:
         filled = [c for c in cells if str(c).lower() not in MISSING]
-        count = Counter(map(cell_kind, filled[:: 1 + len(filled) // _SAMPLE]))
+        count = Counter(map(cell_kind, filled[:: 1 + len(filled) // _CELL_SAMPLE]))
         kinds.append(count.most_common(1)[0][0] if count else "")
-    # Decimal signs: each column's own, else that of the others.
+    # Decimal signs: the column's own, else that of the other columns.
     is_plain = all(values is not None for values in plain)
     signs = [set() if is_plain else read.decimal_signs(cells) for cells in texts]
     everywhere = {sign for found in signs for sign in found if len(sign) == 1}
-    # Dates go with the next clock.
+    # A column of dates belongs to the next column of clock times.
     lead = [next(filter(None, map(read.moment_of, c)), None) if kind == "d" else None
             for c, kind in zip(texts, kinds, strict=True)]  # fmt: skip
     dates = [k for k, moment in enumerate(lead) if moment and moment.seconds is None]
@@ -545,5 +543,5 @@ def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Seque
                 made.append(Column(label, title, unit, values, group))
         if bad >= 0:
             cell = printable(str(cells[bad]))[:40]
-            raise InputError(said("no_cell", line=lines[bad], label=label, cell=cell))
+            raise InputError(message("no_cell", line=lines[bad], label=label, cell=cell))
     return made, ignored, notes

@@ -1,9 +1,9 @@
-"""Reads what unfolds (Excel, MATLAB, HDF5, Parquet) in a process of its own: a small file may ask
-for all memory, or end a compiled reader.
+"""Reads packed formats (Excel, MATLAB, HDF5, Parquet) in a process of its own: a small file may
+unfold until memory is full, or crash a compiled reader.
 
 python unfold.py KIND BYTES SECONDS < file > answer
 
-It imports numpy and what a format needs alone. The answer is msgpack: what is wrong, in one line,
+It imports only numpy and what the format needs. The answer is msgpack: an error in one line, or "",
 then path, value and attributes of each sheet or array."""
 
 import datetime as dt
@@ -17,21 +17,21 @@ from typing import Any
 
 import numpy as np
 
-LONGEST_TEXT = 500  # characters of a cell that are kept: a title or a line of notes has less
+LONGEST_TEXT = 500  # characters kept of a cell; titles and notes are shorter
 MOST_LEAVES = 10_000  # arrays and texts of one file
 Found = Iterator[tuple[tuple[str, ...], Any, dict[str, Any]]]  # path, value, attributes
 
 
 def excel(file: BytesIO) -> Found:
-    """Rows of every sheet: numbers, truth values and texts, moments as ISO 8601."""
+    """Rows of every sheet: numbers, booleans and texts; dates and times as ISO 8601."""
     import openpyxl
     def plain(shown: Any) -> Any:
         cell, is_number = shown.value, isinstance(shown.value, (int, float))
-        form = re.sub(r'"[^"]*"|\\.', "", shown.number_format or "")  # without texts
+        form = re.sub(r'"[^"]*"|\\.', "", shown.number_format or "")  # without quoted text
         if cell is None or isinstance(cell, bool):
             return "" if cell is None else cell
         if is_number and "%" in form:
-            return f"{100.0 * cell:.15g}%"  # as it is read: 4.2 % is kept as 0.042
+            return f"{100.0 * cell:.15g}%"  # as Excel shows it: 4.2 % is stored as 0.042
         if is_number:
             return cell if abs(cell) < 1 << 53 else float(cell)
         if isinstance(cell, dt.timedelta):
@@ -41,7 +41,7 @@ def excel(file: BytesIO) -> Found:
         return text[:LONGEST_TEXT].strip()
 
     for sheet in openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets:
-        sheet.reset_dimensions()  # what a file claims of its size is not believed
+        sheet.reset_dimensions()  # the size that the file states may be wrong
         yield (sheet.title,), [list(map(plain, row)) for row in sheet.iter_rows()], {}
 
 
@@ -64,7 +64,7 @@ def matlab(file: BytesIO) -> Found:
 
 
 def hdf5(file: BytesIO) -> Found:
-    """Of MATLAB 7.3 too; a compound table gives a leaf a column."""
+    """Arrays, also of MATLAB 7.3; a compound table gives one array per column."""
     import h5py
     names: list[str] = []
     with h5py.File(file, "r") as opened:
@@ -86,21 +86,21 @@ def hdf5(file: BytesIO) -> Found:
 
 
 def parquet(file: BytesIO) -> Found:
-    """Columns of numbers and moments; those of texts are named without being read."""
+    """Columns of numbers and timestamps; others are named but not read."""
     import pyarrow
     from pyarrow.parquet import ParquetFile
     opened = ParquetFile(file)
     for field in opened.schema_arrow:
         is_stamp = pyarrow.types.is_timestamp(field.type)
         if not is_stamp and not re.match("u?int|float|double|half|decimal", str(field.type)):
-            yield (field.name,), None, {"unread": f"holds {field.type}, no numbers"}
+            yield (field.name,), None, {"unread": f"{field.type}, not numbers"}
             continue
         column = opened.read(columns=[field.name], use_threads=False).column(0)
         yield (field.name,), column.cast("timestamp[ns]" if is_stamp else "double").to_numpy(), {}
 
 
 def portable(value: Any) -> Any:
-    """A text; texts; of numbers their type, shape (n, k) and bytes; else None."""
+    """A text, a list of texts, or type, shape (n, k) and bytes of numbers; None for others."""
     if isinstance(value, (str, bytes)):
         text = value.decode(errors="replace") if isinstance(value, bytes) else value
         return text[:LONGEST_TEXT].strip()
@@ -119,21 +119,21 @@ def portable(value: Any) -> Any:
 
 
 def portable_leaves(found: Found) -> Found:
-    """Leaves without lone numbers, attributes of one text or number, why one is unread."""
+    """Leaves (no single numbers), attributes of one text or number, `unread`: why it was not."""
     for count, (path, value, attributes) in enumerate(found):
         if count > MOST_LEAVES:
             raise ValueError(f"more than {MOST_LEAVES} arrays")
-        said: dict[str, Any] = {}
+        about: dict[str, Any] = {}
         for name, held in attributes.items():
             one = np.ravel(held)[0] if np.size(held) == 1 else ""
-            said[name.lower()] = portable(one) if isinstance(one, (str, bytes)) else float(one)
+            about[name.lower()] = portable(one) if isinstance(one, (str, bytes)) else float(one)
         shown, kind = portable(value), np.asarray(value).dtype.kind
         is_lone = kind in "fiubc" and np.size(value) == 1 and not attributes
         if shown is None:
-            why = "an object that MATLAB alone can read" if kind == "V" else "no array of numbers"
-            said.setdefault("unread", why)
+            why = "an object that only MATLAB can read" if kind == "V" else "no array of numbers"
+            about.setdefault("unread", why)
         if shown is not None or not is_lone:
-            yield path, shown, said
+            yield path, shown, about
 
 
 READERS = {"Excel": excel, "MATLAB": matlab, "HDF5": hdf5, "Parquet": parquet}
@@ -154,12 +154,12 @@ def main() -> None:
         error = f"reading it needs {missing.name}: pip install {missing.name}"
     except MemoryError:
         error = f"unfolds to more than {size >> 20} MB"
-    except Exception as wrong:  # many types, which only the library can name
+    except Exception as wrong:  # of the many types that the libraries raise
         why = " ".join(str(wrong).split())[:200] or type(wrong).__name__
         error = f"not a readable {kind} file: {why}"
     sys.stdout.buffer.write(answer or msgspec.msgpack.encode((error, [])))
     sys.stdout.buffer.flush()
-    os._exit(0)  # threads of a library that outlive its end could spoil an answer that is given
+    os._exit(0)  # a library's threads might crash at a normal exit, after a good answer
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from planted import believed, planted_pair
 
 import sma_bench
 from sma_bench.records.check import outliers
-from sma_bench.records.mend import comparable, mended, under_suspicion, without_unseen_drive
+from sma_bench.records.mend import comparable, doubtful_readings, mended, without_unseen_drive
 from sma_bench.records.record import first_order_lag
 
 LOSS = "wire.heat_transfer_coefficient"
@@ -56,7 +56,7 @@ def test_a_clock_offset_is_corrected_and_a_far_too_small_variance_is_dropped(rec
     # An image that arrives late keeps its timestamp, which may be right.
     sound, found = with_temperature(record, received=own + 0.4)
     assert not found and sound["wire.temperature"].time is own
-    assert [f.subject for f in under_suspicion(sound)] == ["wire.temperature"]  # or is wrong
+    assert [f.subject for f in doubtful_readings(sound)] == ["wire.temperature"]  # or is wrong
     sound, (found,) = with_temperature(record, std=np.full(len(own), 1e-6))
     assert sound["wire.temperature"].std is None and found.subject == "wire.temperature"
     assert not with_temperature(record, std=np.full(len(own), found.numbers["scatter"]))[1]
@@ -125,7 +125,7 @@ def test_only_the_longest_piece_with_a_recorded_drive_is_compared(volts, begin, 
 @pytest.mark.parametrize("hold", [20, 50])
 def test_a_random_binary_drive_is_no_switched_supply(hold):
     volts = np.repeat(np.random.default_rng(2).integers(0, 2, 1000 // hold), hold) * 0.9
-    assert not list(under_suspicion(record_of(volts)))
+    assert not list(doubtful_readings(record_of(volts)))
 
 
 def turned(record):
@@ -209,9 +209,9 @@ def test_common_faults_of_real_benches_are_reported_and_name_no_effect(tmp_path,
     found = sma_bench.diagnose(seen, believed(), unseen)
     assert found.cause == () and found.candidates[0].name == "recalibration"
     reported = {"swapped": "channels swapped", "out of range": "clipped",
-                "late": "different clocks", "turned": "its sign is turned"}
+                "late": "different clocks", "turned": "its sign was inverted"}
     assert reported[wrong] in (lines := " ".join(found.record))
-    assert ("are left out for that" in lines) == (wrong in ("swapped", "out of range"))
+    assert ("are not used, because" in lines) == (wrong in ("swapped", "out of range"))
     after = {q: s.rmse_after / s.noise_floor for q, s in found.shrinkage.items()}
     assert wrong == "late" or max(after.values()) < 1.2
     assert ("temperature" in after) == (wrong != "swapped")

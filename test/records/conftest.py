@@ -1,4 +1,4 @@
-"""Bags written by rosbags, message by message, as another program would write them."""
+"""Bags written by rosbags, as another program would write them."""
 
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -9,7 +9,7 @@ START = 1_700_000_000 * 10**9
 
 
 class Messages:
-    """Messages of the contract's types, stamped with ns where they have a header."""
+    """Makes messages of the contract's types; stamps in ns."""
 
     ros, types, start = staticmethod(message), TYPES, START
 

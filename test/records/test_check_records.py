@@ -1,4 +1,4 @@
-"""What is wrong with a record is said with its numbers; what is right is not."""
+"""`check_record` reports what is wrong with a record, and nothing else."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ def record(**signals):
 
 
 def found(record, severity="warning"):
-    """What is said of each subject, as numbers."""
+    """Numbers of the findings of a severity, by subject."""
     return {f.subject: f.numbers for f in check_record(record) if f.severity == severity}
 
 
@@ -44,7 +44,7 @@ def received(made, name, times, topic=""):
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_good_foreign_records_have_no_warnings_and_their_losses_are_told(shared_data, name):
+def test_good_foreign_records_have_no_warnings_and_their_losses_are_reported(shared_data, name):
     foreign = read_record(shared_data / "foreign" / name)
     assert found(foreign) == found(foreign, "error") == {}
     losses = {f.subject: f for f in check_record(foreign) if "fraction" in f.numbers}
@@ -69,7 +69,7 @@ DROPPED[700:712] = 273.15
 LATE = np.interp(CLOCK - 0.25, CLOCK, TRIANGLE)
 CLIPPED = {"wire_voltage": TRIANGLE, "wire_temperature": np.minimum(settling(), 330.0)}
 GROWN = {"wire_voltage": TRIANGLE, "wire_temperature": settling(), "elongation": 1e-5 * settling()}
-# What is wrong; the subject and numbers of what is said; a record or its signals; severity.
+# What is wrong; subject and numbers of the finding; a record or its signals; severity (0 warning).
 WRONG = [
     ("gap", "wire.voltage", {"gaps": 1, "longest": 3.02},
      {"wire_voltage": (CLOCK[GAP], TRIANGLE[GAP])}),
@@ -110,11 +110,11 @@ WRONG = [
 
 
 @pytest.mark.parametrize("case", WRONG, ids=lambda case: case[0])
-def test_what_is_wrong_is_said_with_its_numbers(case):
+def test_what_is_wrong_is_reported_with_its_numbers(case):
     _, subject, numbers, odd, *severity = case
     made = odd if isinstance(odd, Record) else record(**odd)
-    told = found(made, ("warning", "error", "info")[sum(severity)])[subject]
-    assert {name: told[name] for name in numbers} == pytest.approx(numbers, abs=0.01)
+    reported = found(made, ("warning", "error", "info")[sum(severity)])[subject]
+    assert {name: reported[name] for name in numbers} == pytest.approx(numbers, abs=0.01)
 
 
 PLATEAU = np.where(CLOCK < 10, 2.0, 0.0)
@@ -132,29 +132,29 @@ RIGHT = {
 
 
 @pytest.mark.parametrize("case", RIGHT)
-def test_what_is_right_is_not_wrong(case):
+def test_a_good_record_has_no_warnings(case):
     assert found(RIGHT[case]) == found(RIGHT[case], "error") == {}
 
 
 @pytest.mark.parametrize("rig", ["wire", "composite"])
-def test_stored_runs_or_channels_swapped_are_noticed_and_the_right_ones_are_not(shared_data, rig):
+def test_swapped_runs_or_channels_are_noticed_and_the_right_ones_are_not(shared_data, rig):
     """The voltages of one run beside the readings of another of the same bench."""
     runs = sorted((shared_data / "foreign" / rig).glob("*/metadata.yaml"))
     one, other = (read_record(path.parent) for path in runs)
     for command, response in ((one, other), (other, one)):
         voltages = {n: s for n, s in command.signals.items() if n.endswith("voltage")}
         readings = {n: s for n, s in response.signals.items() if not n.endswith("voltage")}
-        told = found(replace(command, signals={**voltages, **readings}))
+        swapped = found(replace(command, signals={**voltages, **readings}))
         for channel in command.channels:
-            assert "explained" in told[f"{channel}.temperature"]
+            assert "explained" in swapped[f"{channel}.temperature"]
         assert not any("explained" in numbers for numbers in found(command).values())
-    if rig == "composite":  # channels at the plug
+    if rig == "composite":  # two channels swapped at the plug
         triangle = read_record(shared_data / "foreign/composite/triangle")
         names = ["front_1.temperature", "back_1.temperature"]
         crossed = {a: replace(triangle[b], name=a) for a, b in zip(names, names[::-1], strict=True)}
-        told = found(replace(triangle, signals=triangle.signals | crossed))
-        assert set(told) == {*names}
-        assert all(n["explained"] < 0.93 < n["follows"] for n in told.values())
+        swapped = found(replace(triangle, signals=triangle.signals | crossed))
+        assert set(swapped) == {*names}
+        assert all(n["explained"] < 0.93 < n["follows"] for n in swapped.values())
         tip = triangle["deflection"]
         signals = triangle.signals | {"deflection": replace(tip, values=-tip.values)}
         turned = replace(triangle, signals=signals)
@@ -172,12 +172,12 @@ def test_voltages_that_end_before_the_readings_are_a_finding():
     volts = whole["wire.voltage"]
     half = len(volts) // 2
     cut = replace(volts, time=volts.time[:half], values=volts.values[:half], received=None)
-    told = found(replace(whole, signals=whole.signals | {"wire.voltage": cut}))["wire.voltage"]
-    assert told == {"missing": volts.time[-1] - volts.time[half - 1], "volts": cut.values[-1]}
+    numbers = found(replace(whole, signals=whole.signals | {"wire.voltage": cut}))["wire.voltage"]
+    assert numbers == {"missing": volts.time[-1] - volts.time[half - 1], "volts": cut.values[-1]}
 
 
-def test_readings_beyond_all_measure_leave_the_terminal_alone(capfd):
-    """LAPACK writes past Python when it is given an infinity."""
+def test_absurd_readings_print_nothing_on_the_terminal(capfd):
+    """LAPACK, when given an infinity, prints on its own."""
     time = np.linspace(0.0, 19.9, 500)
     volts, kelvin = np.where(time > 5.0, 1e200, 0.0), 296.0 + 20.0 * (time > 5.0)
     odd = record(wire_voltage=(time, volts), wire_temperature=(time, kelvin))

@@ -1,4 +1,4 @@
-"""A damaged bag is read up to the damage, or refused, and what was lost is said."""
+"""A damaged bag is read up to the damage, or refused, and what was lost is reported."""
 
 import random
 import shutil
@@ -27,12 +27,12 @@ def voltages(record):
 
 
 def losses(record, subject):
-    """What is said of a file or topic, as warnings."""
+    """Warnings about a file or topic."""
     return [f for f in record.findings if f.subject == subject and f.severity == "warning"]
 
 
 def require_one_line(path, *named):
-    """That reading is refused in one line that names the file, and says all of `named`."""
+    """Asserts that reading fails with one line that names the file and contains all of `named`."""
     with pytest.raises(InputError) as refused:
         read_record(path)
     line = str(refused.value)
@@ -40,9 +40,9 @@ def require_one_line(path, *named):
     assert all(text in line for text in named)
 
 
-def test_a_db3_whose_pages_lead_back_is_refused_naming_what_saves_it(tmp_path, write_bag, messages):
-    """The root of the message table, an interior page that names all the leaves, names the third
-    again: it once gave its rows for ever, until the memory was full."""
+def test_a_db3_whose_pages_form_a_loop_is_refused_with_a_remedy(tmp_path, write_bag, messages):
+    """The root page of the message table, which lists all leaf pages, lists the third one again and
+    again: such a file once gave rows until the memory was full."""
     content = [("/b/wire/temperature", messages.temperature(stamp, 20.0), stamp)
                for stamp in range(messages.start, messages.start + 3000 * 10**7, 10**7)]
     file = next(write_bag(tmp_path / "bag", content, "sqlite3").glob("*.db3"))
@@ -59,8 +59,8 @@ def test_a_db3_whose_pages_lead_back_is_refused_naming_what_saves_it(tmp_path, w
     require_one_line(file, f"sqlite3 {file.name} .recover")
 
 
-def test_a_write_ahead_log_beside_a_db3_is_said_and_left_alone(tmp_path, write_bag, ramp):
-    """Recorders that use sqlite's log leave the last messages in it when they die."""
+def test_a_write_ahead_log_beside_a_db3_is_reported_and_not_touched(tmp_path, write_bag, ramp):
+    """A recorder that uses it leaves the last messages in it when it dies."""
     db3 = next(write_bag(tmp_path / "bag", ramp, "sqlite3").glob("*.db3"))
     died = tmp_path / "died"
     died.mkdir()
@@ -80,7 +80,7 @@ def test_a_write_ahead_log_beside_a_db3_is_said_and_left_alone(tmp_path, write_b
     assert {file.name: file.read_bytes() for file in died.iterdir()} == before
 
 
-def test_nothing_readable_is_one_line(tmp_path, mcap, write_bag):
+def test_a_path_without_anything_readable_gives_one_line(tmp_path, mcap, write_bag):
     (tmp_path / "folder").mkdir()
     (tmp_path / "notes.txt").write_bytes(b"no bag")
     (tmp_path / "zero.mcap").write_bytes(b"")
@@ -92,7 +92,7 @@ def test_nothing_readable_is_one_line(tmp_path, mcap, write_bag):
     require_one_line(mcap.parent, "bag.mcap")
 
 
-# --- messages: that they are what rosbags decodes, test_read_bags shows
+# --- messages (test_read_bags checks that they are decoded as rosbags does)
 
 
 def decoded(blobs, kind):
@@ -109,7 +109,7 @@ def test_random_bytes_are_decoded_or_left_out(blobs, kind, prefix):
     assert len(rows) == len(set(rows)) <= len(blobs)
 
 
-def test_encoding_writes_what_decoding_reads_and_every_truncation_is_left_out(messages):
+def test_encoded_messages_are_decoded_and_truncated_ones_left_out(messages):
     arrays = {"position": np.array([1.0, 2.0]), "effort": np.array([3.0, 4.0])}
     template = messages.serialise(messages.stamped("JointState", 5, name=["tip", "wire"], **arrays))
     cut = [template[:length] for length in range(len(template))]

@@ -1,4 +1,4 @@
-"""sma-bench info: everything about a record, for people and as JSON."""
+"""sma-bench info: everything about a record, as text and as JSON."""
 
 import json
 
@@ -10,7 +10,7 @@ from sma_bench.errors import InputError
 from sma_bench.records import Record, Signal, describe, open_record, read_record
 
 
-def test_info_shows_all_and_writes_plain_data(tmp_path, write_bag, ramp, messages, capsys):
+def test_info_shows_everything_and_writes_json(tmp_path, write_bag, ramp, messages, capsys):
     marker = ("/bench/experiment/marker", messages.text("step [3] up"), messages.start)
     bag, out = write_bag(tmp_path / "bag", [*ramp, marker]), tmp_path / "info.json"
     assert main(["info", str(bag), "--json", str(out)]) == 0
@@ -46,7 +46,7 @@ def test_a_bag_of_another_robot_is_shown_and_refused(tmp_path, write_bag, messag
     assert "no signal of the bench contract" in shown.out and "/chatter" in shown.out
 
 
-def test_records_are_told_apart_by_content(tmp_path, write_bag, ramp, measured_data, capsys):
+def test_the_kind_of_a_record_is_known_by_content(tmp_path, write_bag, ramp, measured_data, capsys):
     bag, renamed = write_bag(tmp_path / "bag", ramp), tmp_path / "bag.dat"
     next(bag.glob("*.mcap")).rename(renamed)
     assert isinstance(open_record(renamed), Record)

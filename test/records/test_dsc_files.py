@@ -1,4 +1,4 @@
-"""A calorimeter's exports, Pyris, Universal Analysis and TRIOS, in SI units, good and bad."""
+"""Exports of calorimeters (Pyris, Universal Analysis, TRIOS), good and bad."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from sma_bench.records import DscRecord, open_record
 
 FILES = Path(__file__).parents[1] / "data" / "dsc"
 PYRIS = (FILES / "pyris.txt").read_text(encoding="utf-8")
-MASS = 10.2  # mg, of the file below too
+MASS = 10.2  # mg, also in the file below
 HEADER = (FILES / "universal_analysis.txt").read_text(encoding="utf-8")
 TRIOS_STEP = "[step]\nRamp 5.00 °C/min to {} °C\nTime\tTemperature\tHeat Flow (Normalized)\n"
 ONSETS = {"austenite_start": 70.0, "austenite_finish": 95.0, "martensite_start": 80.0,
@@ -22,13 +22,13 @@ ONSETS = {"austenite_start": 70.0, "austenite_finish": 95.0, "martensite_start":
 
 
 def peak(t, start, finish):
-    """Rounded trapezoid in W/g whose tangents meet the base at start and finish; degC."""
+    """Rounded trapezoid in W/g; its tangents meet the base line at start and finish, in degC."""
     sharp = np.interp(t, np.linspace(start, finish, 4), [0.0, 0.3, 0.3, 0.0])
     return np.convolve(np.pad(sharp, 20, mode="edge"), np.ones(41) / 41.0, mode="valid")
 
 
 def scans():
-    """Rows of time min, degC, W/g (endothermic up): heating, holding and cooling at 5 K/min."""
+    """Rows of min, degC, W/g (endothermic up): heating, holding and cooling at 5 K/min."""
     up, hold = np.arange(0.0, 180.0, 0.1), np.full(150, 180.0)
     heated, cooled = 0.05 + peak(up, 70.0, 95.0), -0.05 - peak(up, 50.0, 80.0)[::-1]
     t = np.concatenate([up, hold, up[::-1]])
@@ -67,7 +67,7 @@ def write(tmp_path):
     return write
 
 
-def test_units_are_si_and_the_sign_follows_the_run(write):
+def test_units_are_si_and_the_sign_of_heat_flow_is_found(write):
     run = open_record(write(PYRIS))
     assert run.mass == pytest.approx(10e-6)
     assert run.header["Filename"] == "C:\\run.dcd" and run.sample == "NiTi wire"
@@ -80,7 +80,7 @@ def test_units_are_si_and_the_sign_follows_the_run(write):
         assert getattr(heating, name) == pytest.approx(values)
     assert run.specific_heat_flow(heating) == pytest.approx([1900, 2000])
     assert run.endothermic_up is True and run.findings == ()
-    # Where the method is missing, the program gives the rates.
+    # If the method is missing, the program temperature gives the rates.
     run = open_record(write(PYRIS.replace("2)\tCool", "Cool").replace("3)\tHeat", "Heat")))
     assert [s.rate for s in run.segments] == pytest.approx([0, -10 / 60, 20 / 60])
     swapped = PYRIS.replace("\t20.0\t", "\t-20.0\t").replace("\t21.0\t", "\t-21.0\t")
@@ -153,7 +153,7 @@ def test_a_french_export_is_read(write):
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data(), text=st.sampled_from([PYRIS, universal()[:2000]]))
-def test_any_mutilation_ends_in_a_record_or_one_line(tmp_path_factory, data, text):
+def test_any_damaged_file_gives_a_record_or_one_line(tmp_path_factory, data, text):
     lines = text.split("\n")
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(lines) - 1))
@@ -174,7 +174,7 @@ def test_real_file_has_its_eight_segments_and_counts_heat_into_the_sample_positi
     assert run.mass == pytest.approx(60.2e-6) and run.findings == ()
     assert [60 * s.rate for s in run.segments] == pytest.approx([0, -10, 0, 10, 0, -5, 0, 5])
     assert [len(s.time) for s in run.segments] == [120, 720, 120, 720, 120, 1440, 120, 1920]
-    # Martensite takes heat to become austenite: the peak on heating points up.
+    # The transformation to austenite takes heat: the peak on heating points up.
     assert run.endothermic_up is True
     heating = run.segments[3]
     highest = int(np.argmax(run.specific_heat_flow(heating)[60:]))

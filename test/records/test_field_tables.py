@@ -1,4 +1,4 @@
-"""Tables as other people's loggers and instruments write them: right, asked, or refused."""
+"""Tables as loggers and instruments of other labs write them: read, asked about, or refused."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def loaded(name, rig, units=None):
 
 
 @pytest.mark.parametrize(("name", "rig", "expected", "start"), CASES["read"])
-def test_what_tells_its_meaning_is_read(name, rig, expected, start):
+def test_a_clear_table_is_read(name, rig, expected, start):
     record = loaded(name, rig)
     assert start is None or record.start_ns == start * 1_000_000_000
     for signal, low, high, samples, last in expected:
@@ -39,7 +39,7 @@ def test_what_tells_its_meaning_is_read(name, rig, expected, start):
 
 
 @pytest.mark.parametrize(("name", "rig", "where", "word"), CASES["asked"])
-def test_what_does_not_is_asked(name, rig, where, word):
+def test_an_unclear_table_is_asked_about(name, rig, where, word):
     with pytest.raises(InputError, match=f"unsure of {where}.*{word}"):
         loaded(name, rig, {"Position": "mm"} if name.startswith("12d") else None)
 
@@ -51,7 +51,7 @@ def test_a_unit_that_is_stated_answers_the_question():
         loaded(name, "rigv", {"clock": "ms"})
     time = np.arange(100.0)
     for quantity, low, high, said in (("wire.temperature", 150, 250, "expected kelvin"),
-                                      ("elongation", 12, 20, "of mm")):
+                                      ("elongation", 12, 20, "divide mm")):
         with pytest.raises(InputError, match=said):
             load({"time": time, quantity: np.linspace(low, high, 100)})
 
@@ -69,7 +69,7 @@ def test_files_that_are_one_run_become_one_bag(tmp_path, capsys):
     assert set(read_record(tmp_path / "bag").signals) == {"elongation", "wire.voltage"}
 
 
-def test_what_was_asked_is_answered_in_the_map_and_an_import_says_what_it_spread(tmp_path):
+def test_questions_are_answered_in_the_map_and_spread_stamps_are_reported(tmp_path):
     words = ["import", str(FIELD / "r20_duty_mean_current.csv")]
     words += ["--params", str(FIELD / "rigd.yaml")]
     asked, out = tmp_path / "bag.map.yaml", tmp_path / "bag"
@@ -77,7 +77,7 @@ def test_what_was_asked_is_answered_in_the_map_and_an_import_says_what_it_spread
     assert asked.read_text().count("form: ask") == 1
     asked.write_text(asked.read_text().replace("form: ask", "form: mean"))
     assert main([*words, "--map", str(asked), "--out", str(out)]) == 0
-    # Amperes of a switched supply became those of the same heat.
+    # The mean current of a switched supply became the current of the same heat.
     record = read_record(out)
     volts, amps = record["wire.voltage"].values, record["wire.current"].values
     on = volts > 0.9 * volts.max()
@@ -95,7 +95,7 @@ def test_decimal_commas_in_a_comma_separated_table_are_refused():
 
 
 @pytest.mark.parametrize("name", CASES["instruments"])
-def test_every_export_of_an_instrument_gives_what_it_measured(name):
+def test_the_parameters_of_a_specimen_are_identified_from_every_export(name):
     true = CASES["instruments"][name]
     is_dsc = len(true) == 4
     given = Parameters.defaults() if is_dsc else read_parameters(FIELD / "rig60.yaml")
@@ -106,14 +106,14 @@ def test_every_export_of_an_instrument_gives_what_it_measured(name):
         assert found[f"wire.{number}"].value == pytest.approx(value, abs=error)
 
 
-def test_loads_in_sheets_are_a_record_each():
+def test_each_sheet_of_a_load_is_a_record():
     records = open_records(FIELD / "06_loads_in_sheets.xlsx")
     assert [record.stress for record in records] == pytest.approx([50e6, 100e6, 200e6])
     first = load(FIELD / "06_loads_in_sheets.xlsx")
     assert "100MPa" in first.findings[-1].text and "200MPa" in first.findings[-1].text
 
 
-def test_what_a_file_does_not_hold_is_stated_and_extension_is_no_strain(tmp_path, capsys):
+def test_numbers_that_a_file_lacks_can_be_stated_and_extension_stays_in_mm(tmp_path, capsys):
     bare = FIELD / "16_two_columns.txt"
     with pytest.raises(InputError, match="stress=200 MPa"):
         load(bare)
@@ -136,11 +136,11 @@ def test_quantised_and_irregular_readings_raise_no_alarm(tmp_path, capsys):
     assert not any(word in said for word in ("clipped", "missing", "gaps", "warning"))
     assert main(["info", str(tmp_path / "bag")]) == 0
     said = capsys.readouterr().out
-    assert said.count("Hz in the mean") == 2
+    assert said.count("Hz on average") == 2
 
 
 def test_a_position_that_moves_before_its_drive_has_no_zero(tmp_path):
-    """Of two clocks one runs behind the other."""
+    """Its clock is 7 s behind the voltage's."""
     rows = [f"{t},{3.0 * (t > 10)},{t - 7.0},{12 - 4 * min(max(t - 10, 0) / 5, 1)}"
             for t in np.arange(0, 40, 0.5)]
     path = tmp_path / "two.csv"
@@ -156,11 +156,11 @@ def test_a_supplys_own_readings_are_asked_about(tmp_path):
     made, questions, _ = propose(read_table_file(path), Parameters(), {})
     assert {e.column: e.signal for e in made.signals}["PSU_U_RB"] == "wire.voltage"
     for name in ("PSU_U_RB", "PSU_I_RB"):
-        assert f"{name!r}: what the supply gives, or what the wire gets?" in questions
+        assert f"{name!r}: is it measured at the supply or at the wire?" in questions
 
 
 @pytest.mark.parametrize(("titles", "rig", "signals", "said"), CASES["whose"])
-def test_a_column_is_a_wires_or_a_channels_by_whole_words(titles, rig, signals, said, tmp_path):
+def test_whole_words_of_a_title_give_wire_and_channel(titles, rig, signals, said, tmp_path):
     path = tmp_path / "whose.csv"
     rows = [[f"{k / 10}", *["0.5"] * (len(titles) - 1)] for k in range(30)]
     path.write_text("\n".join(map(",".join, [titles, *rows])) + "\n")
@@ -175,7 +175,7 @@ TABLES = [p for folder in (FIELD, EXAMPLES) for p in sorted(folder.rglob("*")) i
 
 @pytest.mark.parametrize("path", [p for p in TABLES if "69" not in p.name], ids=lambda p: p.name)
 def test_every_row_and_column_is_accounted_for(path):
-    """Of every table of the repository, as a logger's; and as an instrument's where it is one."""
+    """All tables of the repository, read as a logger's, and as an instrument's if they are."""
     for _, table in runs_of(read_table_file(path)):
         names = [n for t in table.tables for n in (*(c.name for c in t.columns), *t.ignored)]
         bench = Parameters({"bench.supply_voltage": 12.0})
@@ -194,6 +194,6 @@ def test_every_row_and_column_is_accounted_for(path):
     for record in records:
         table = next(t for t in file.tables if record.account.sheet in ("", t.name))
         held = {c.name for c in table.columns} | set(table.ignored)
-        # Universal Analysis titles its columns above the table.
+        # Universal Analysis has its titles above the table: their names differ.
         assert len({*record.account.used, *record.account.ignored}) == len(held)
         assert record.account.rows == table.rows >= record.account.rows_used > 0

@@ -1,4 +1,4 @@
-"""Tables of other loggers: four formats of one bench, guesses and questions, hostile files."""
+"""Tables of other loggers: four formats of the same data, guesses and questions, hostile files."""
 
 import json
 from pathlib import Path
@@ -88,7 +88,7 @@ def imported(source, rig, out, *more):
 
 
 @pytest.mark.parametrize("write", WRITERS)
-def test_every_format_gives_the_same_record_of_the_bench(write, tmp_path, rig):
+def test_every_format_gives_the_same_record(write, tmp_path, rig):
     record = imported(write(tmp_path), rig, tmp_path / "bag")
     volts, moved = record["wire.voltage"], record["elongation"]
     expected = np.interp(volts.time, TIME, np.sqrt(DUTY) * SUPPLY)
@@ -97,7 +97,7 @@ def test_every_format_gives_the_same_record_of_the_bench(write, tmp_path, rig):
     np.testing.assert_allclose(np.diff(volts.time), volts.period, atol=1e-6)
 
 
-def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig):
+def test_a_bag_names_its_source_and_its_map_imports_the_same_again(tmp_path, rig):
     first, second = write_csv(tmp_path), tmp_path / "b day.csv"
     second.write_bytes(first.read_bytes())
     once = imported(first, rig, tmp_path / "bag", "--json", str(tmp_path / "r.json"))
@@ -105,12 +105,12 @@ def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig
     metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
     custom = metadata["rosbag2_bagfile_information"]["custom_data"]
     assert json.loads(custom["sma_bench_provenance"])["sha256"] == sha
-    told = " ".join(f["text"] for f in describe(open_record(tmp_path / "bag"))["findings"])
-    assert sha in told and "sqrt(duty) x 12 V" in told
+    texts = " ".join(f["text"] for f in describe(open_record(tmp_path / "bag"))["findings"])
+    assert sha in texts and "sqrt(duty) x 12 V" in texts
     custom["sma_bench_provenance"] = "torn {"
     (tmp_path / "bag" / "metadata.yaml").write_text(yaml.safe_dump(metadata))
-    told = " ".join(f["text"] for f in describe(open_record(tmp_path / "bag"))["findings"])
-    assert "sma_bench_provenance" in told and "cannot be understood" not in told
+    texts = " ".join(f["text"] for f in describe(open_record(tmp_path / "bag"))["findings"])
+    assert "sma_bench_provenance" in texts and "cannot be understood" not in texts
     words = ["--map", str(tmp_path / "bag.map.yaml"), "--out", str(tmp_path / "week")]
     assert main(["import", str(first), str(second), *words]) == 0
     for name in ("a", "b_day"):
@@ -120,7 +120,7 @@ def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig
 
 
 @pytest.mark.parametrize(("titles", "scale", "said"), CASES["asked"])
-def test_what_is_unsure_is_asked_and_answered_in_a_map(titles, scale, said, tmp_path, rig, capsys):
+def test_unclear_titles_are_asked_and_answered_in_a_map(titles, scale, said, tmp_path, rig, capsys):
     columns = [c * s for c, s in zip((TIME, DUTY, PLACE), scale, strict=True)]
     source = text_file(tmp_path / "odd.csv", titles, columns)
     bag, asked = tmp_path / "bag", tmp_path / "bag.map.yaml"
@@ -129,7 +129,7 @@ def test_what_is_unsure_is_asked_and_answered_in_a_map(titles, scale, said, tmp_
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and said in line and "bag.map.yaml" in line
     assert not bag.exists() and "ASK" in asked.read_text()
-    if said == "no unit is given":  # as it is, the map answers nothing; filled in, it imports
+    if said == "no unit is given":  # the map is refused as it is, and imports once filled in
         assert main([*words, "--map", str(asked)]) == 2 and not bag.exists()
         assert "unit is 'ask'" in capsys.readouterr().err
         document = yaml.safe_load(asked.read_text().replace("unit: ask", "unit: mm"))
@@ -141,7 +141,7 @@ def test_what_is_unsure_is_asked_and_answered_in_a_map(titles, scale, said, tmp_
 
 
 @pytest.mark.parametrize(("entry", "said"), CASES["entries"])
-def test_a_value_that_a_map_does_not_have_is_named_with_its_place(entry, said, tmp_path):
+def test_an_invalid_entry_of_a_map_is_named_with_its_place(entry, said, tmp_path):
     text = "time: {t: s}\nsignals: [{signal: wire.voltage, column: u, unit: V, clock: t, %s}]\n"
     path = tmp_path / "x.map.yaml"
     path.write_text((text % entry).replace("clock: t, clock", "clock"))
@@ -164,23 +164,23 @@ ANGLE, POWER = ["t (s)", "strom (mA)", "winkel (grad)"], ["t (s)", "leistung (mW
 TURNED, DRAWN = [TIME, 800.0 * ON, MOVED * 4e3], [TIME, 1e3 * WATTS, MOVED * 1e3]
 IMPOSED = ("{kind: spring, stiffness: 200.0, preload: 6.0}", "{kind: displacement}")
 LEVER, OF_CURRENT = ("6.0}", "6.0, lever: 0.02}"), ("duty", "current")
-# What the rig is changed to, titles, columns, and what is read, or the refusal.
+# Changes of the rig, titles, columns, and the signals that are read, or the error.
 LOADED = [
     ([], ["t (s)", "elongation (mm)", "force (N)"], [TIME, 1e3 * PULL, -9e3 * PULL],
      {"elongation": PULL, "force": 9e3 * PULL}),
     ([], ["time [s]", "duty [%]", "temperature [degC]"], [TIME, DUTY * 100, 23.0 + 400.0 * DUTY],
      {"wire.voltage": np.sqrt(DUTY) * SUPPLY, "wire.temperature": 296.15 + 400.0 * DUTY}),
-    # What a machine imposes is as it counts: heat, which comes with it, tells nothing of its sign.
+    # An imposed displacement keeps the machine's sign: heat, at the same time, does not decide it.
     ([IMPOSED], ["time [s]", "duty [%]", "displacement [mm]", "force [N]"],
      [TIME, DUTY * 100, 1.5 + 1e3 * MOVED, 20.0 - 1e3 * MOVED], {"elongation": 1.5e-3 + MOVED}),
-    ([OF_CURRENT], ANGLE, TURNED, r"m of movement for a radian\? load.lever"),
-    # A wire's name is no word of its title: an extensor is no extension.
+    ([OF_CURRENT], ANGLE, TURNED, r"m of movement for a radian\? State load.lever"),
+    # The name of a channel does not count as part of a title: an extensor is no extension.
     ([("[wire]", "[extensor]")], ["time [s]", "extensor duty [%]", "position [mm]"],
      [TIME, DUTY * 100, PLACE * 1e3],
      {"extensor.voltage": np.sqrt(DUTY) * SUPPLY, "elongation": -MOVED}),
     ([LEVER, OF_CURRENT], ANGLE, TURNED,
      {"wire.current": 0.8 * ON, "elongation": -np.radians(MOVED * 4e3) * 0.02}),
-    # Watts drive where the rig says so.
+    # Watts drive if the rig says so.
     ([("duty", "power")], [*POWER, "volts (V)"], [*DRAWN, 9.0 + 0.0 * TIME],
      {"wire.voltage": np.sqrt(WATTS * 7.0), "wire.current": np.sqrt(WATTS / 7.0)}),
     ([("duty", "voltage")], [*POWER, "volts (V)"], [*DRAWN, 9.0 + 0.0 * TIME],
@@ -189,8 +189,8 @@ LOADED = [
 
 
 @pytest.mark.parametrize("case", LOADED)
-def test_what_needs_no_duty_or_no_position_is_read(case, tmp_path, rig):
-    """A pull by a load frame, a clamped wire; currents, angles, watts."""
+def test_tables_without_duty_or_position_are_read(case, tmp_path, rig):
+    """A test in a load frame, a clamped wire; currents, angles, watts."""
     changes, titles, columns, expected = case
     for old, new in changes:
         rig.write_text(rig.read_text().replace(old, new))
@@ -212,7 +212,7 @@ MAGIC = [b"", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n", MATLAB, b"PAR1", b"t,u\n"]
 
 @settings(max_examples=12, deadline=None)
 @given(st.binary(max_size=400), st.sampled_from(MAGIC))
-def test_any_bytes_are_a_table_or_one_line(tmp_path_factory, content, magic):
+def test_any_bytes_give_a_table_or_one_line(tmp_path_factory, content, magic):
     path = tmp_path_factory.mktemp("h") / "x.bin"
     path.write_bytes(magic + content)
     try:
@@ -221,8 +221,8 @@ def test_any_bytes_are_a_table_or_one_line(tmp_path_factory, content, magic):
         assert "\n" not in str(error) and str(path) in str(error)
 
 
-def test_tables_that_unfold_without_end_are_refused_or_read_without_it(tmp_path, monkeypatch):
-    """What they claim, what they hold once and refer to often (5.7 to 8.8 GB), and other files."""
+def test_tables_that_unfold_to_gigabytes_are_refused_or_read_in_part(tmp_path, monkeypatch):
+    """By a stated size, by references to one large thing (5.7 to 8.8 GB); and other files."""
     with h5py.File(tmp_path / "claims.h5", "w") as file:
         file.create_dataset("t", shape=(1 << 40,), chunks=(1 << 16,), dtype="f8")
     (tmp_path / "secret").write_bytes(bytes(800))
@@ -235,7 +235,7 @@ def test_tables_that_unfold_without_end_are_refused_or_read_without_it(tmp_path,
     for path, said in refused.items():
         with pytest.raises(InputError, match=said):
             read_table_file(path)
-    # Where texts are cut or passed over it is the numbers that are read.
+    # Long texts are cut, so that this one is read.
     assert len(read_table_file(shared_texts(tmp_path / "often.xlsx", 1000, one)).columns) == 2
     monkeypatch.setattr(border, "_SECONDS", 0.5)
     endless = shared_texts(tmp_path / "endless.xlsx", 1000, b"<si><t>x</t></si>" * 1_000_000)
@@ -243,12 +243,12 @@ def test_tables_that_unfold_without_end_are_refused_or_read_without_it(tmp_path,
         read_table_file(endless)
 
 
-def test_a_text_that_a_parquet_file_holds_once_and_refers_to_often_is_passed_over(tmp_path):
+def test_a_column_of_texts_in_a_parquet_file_is_not_unfolded(tmp_path):
     pytest.importorskip("pyarrow")  # not among Ubuntu's packages
     assert len(read_table_file(dictionary_text(tmp_path / "often.parquet")).columns) == 2
 
 
-def test_a_damaged_matlab_file_ends_in_one_line_and_what_is_no_series_is_named(tmp_path):
+def test_a_damaged_matlab_file_gives_one_line_and_unread_arrays_are_named(tmp_path):
     plain, odd = tmp_path / "plain.mat", tmp_path / "odd.mat"
     io.savemat(plain, {"t": np.arange(40) / 7.0, "s": {"u": np.arange(40) * 1.5}})
     content = plain.read_bytes()
@@ -270,7 +270,7 @@ def test_a_damaged_matlab_file_ends_in_one_line_and_what_is_no_series_is_named(t
 
 
 @pytest.mark.parametrize(("text", "said"), CASES["broken"])
-def test_a_broken_table_is_one_line_and_leaves_no_bag(text, said, tmp_path, rig, capsys):
+def test_a_broken_table_gives_one_line_and_leaves_no_bag(text, said, tmp_path, rig, capsys):
     (tmp_path / "x.csv").write_text(text)
     words = ["import", str(write_csv(tmp_path)), str(tmp_path / "x.csv"), "--params", str(rig)]
     assert main([*words, "--out", str(tmp_path / "week")]) == 2
@@ -279,7 +279,7 @@ def test_a_broken_table_is_one_line_and_leaves_no_bag(text, said, tmp_path, rig,
     assert not (tmp_path / "week").exists()
 
 
-def test_the_file_that_parameters_writes_is_a_rig_whose_zero_length_says_nothing(tmp_path):
+def test_a_wire_length_of_zero_means_unknown(tmp_path):
     lab, bag = tmp_path / "lab.yaml", tmp_path / "bag"
     assert main(["parameters", "--out", str(lab)]) == 0
     titles = ["time [s]", "voltage [V]", "elongation [mm]"]
@@ -301,7 +301,7 @@ def test_columns_have_the_titles_units_and_numbers_of_their_text(text, expected,
             assert column.values == pytest.approx(values)
 
 
-def test_a_scale_that_an_attribute_states_is_applied_and_said(tmp_path):
+def test_a_scale_in_an_attribute_is_applied_and_noted(tmp_path):
     path = tmp_path / "daq.h5"
     with h5py.File(path, "w") as file:
         file["time"] = np.arange(5.0)
@@ -312,7 +312,7 @@ def test_a_scale_that_an_attribute_states_is_applied_and_said(tmp_path):
     assert found.notes == ("voltage: scale 2 of its attributes applied",)
 
 
-def test_a_unit_that_is_guessed_is_said(tmp_path, capsys):
+def test_a_guessed_unit_is_reported(tmp_path, capsys):
     path = tmp_path / "log.csv"
     on = np.arange(20) % 4 > 1
     text_file(path, ["Time (s)", "Voltage (V)", "Current"], [np.arange(20), 1.2 * on, 0.6 * on])

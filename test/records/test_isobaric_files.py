@@ -1,4 +1,4 @@
-"""Isobaric and tensile tests of instruments' files, good and bad."""
+"""Files of isobaric and tensile tests, good and bad."""
 
 from pathlib import Path
 
@@ -67,7 +67,7 @@ def write(tmp_path):
 
 
 def heights(record):
-    """Range of strain of the branches of the first cycle."""
+    """Range of strain of each branch of the first cycle."""
     return [np.ptp(branch.strain) for branch in record.cycles[0].branches]
 
 
@@ -84,7 +84,7 @@ def facts(record):
 
 
 @pytest.mark.parametrize(("rows", "head", "expected"), CASES["cases"])
-def test_what_a_file_says_is_read_or_refused(write, rows, head, expected):
+def test_a_mechanical_file_is_read_or_refused(write, rows, head, expected):
     expected = dict(expected)
     how = {key: expected.pop(key, default) for key, default in (
         ("separator", ","), ("decimal", "."), ("encoding", "utf-8"), ("line", None), ("state", {}))}
@@ -107,7 +107,7 @@ def test_what_a_file_says_is_read_or_refused(write, rows, head, expected):
 
 
 @pytest.mark.parametrize(("head", "line", "times", "said"), CASES["refused"])
-def test_what_is_no_test_is_refused_in_one_line(write, head, line, times, said):
+def test_a_file_without_a_test_is_refused_in_one_line(write, head, line, times, said):
     with pytest.raises(InputError, match=said) as caught:
         open_record(write([head + line * times]))
     assert "\n" not in str(caught.value)
@@ -115,7 +115,7 @@ def test_what_is_no_test_is_refused_in_one_line(write, head, line, times, said):
 
 @settings(max_examples=30, deadline=None)
 @given(turns=st.lists(st.floats(30.0, 100.0), min_size=2, max_size=6), noise=st.floats(0.0, 0.5))
-def test_branches_run_their_way_and_cover_what_they_say(turns, noise):
+def test_branches_have_their_direction_and_alternate(turns, noise):
     ends = [20.0, *(120.0 + turn if i % 2 == 0 else 20.0 for i, turn in enumerate(turns))]
     t = np.concatenate([np.linspace(a, b, 50) for a, b in zip(ends[:-1], ends[1:], strict=True)])
     t = t + 273.15 + noise * np.random.default_rng(0).standard_normal(len(t))
@@ -128,7 +128,7 @@ def test_branches_run_their_way_and_cover_what_they_say(turns, noise):
             assert np.all(np.diff(b.strain) > 0.0)
 
 
-def test_blocks_of_other_loads_or_units_are_tests_of_their_own(write):
+def test_blocks_with_other_loads_or_units_are_separate_tests(write):
     titles, rows = "Temperature (C),Strain (%)", lines_of(PERCENT[:, :2])
     blocks = [[f"Stress: {load} MPa", titles, *rows] for load in (100, 200, 300)]
     records = open_records(write(sum(blocks, [])))
@@ -142,7 +142,7 @@ def test_blocks_of_other_loads_or_units_are_tests_of_their_own(write):
         assert heights(record) == pytest.approx([0.03, 0.03], rel=1e-3)
 
 
-def test_cells_that_overflow_part_no_table(write):
+def test_overflowed_cells_do_not_split_a_table(write):
     lines = ["Temperature (C),Strain (%),Stress (MPa)", *lines_of(PERCENT)]
     lines[30:34] = [f"{line.partition(',')[0]},****,****" for line in lines[30:34]]
     record = open_record(write(lines))
@@ -150,7 +150,7 @@ def test_cells_that_overflow_part_no_table(write):
     assert [len(cycle.branches) for cycle in record.cycles] == [2]
 
 
-def test_percents_of_a_workbook_are_as_they_are_seen(tmp_path):
+def test_percent_cells_of_a_workbook_are_read_as_shown(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
     book.active.append(["Temperature (C)", "Strain (%)", "Stress (MPa)"])
@@ -161,7 +161,7 @@ def test_percents_of_a_workbook_are_as_they_are_seen(tmp_path):
     assert heights(open_record(tmp_path / "seen.xlsx")) == pytest.approx([0.03, 0.03], rel=1e-3)
 
 
-def test_measured_sets_and_the_seven_cycles_of_a_load_frame_are_read(measured_data):
+def test_measured_files_and_seven_cycles_of_a_load_frame_are_read(measured_data):
     folder = measured_data / "sma_react" / "input"
     directions = {"cal_sample_1": ["cooling", "heating"], "cal_sample_2": ["heating", "cooling"]}
     for sample, expected in directions.items():

@@ -1,4 +1,4 @@
-"""Bags of other programs become named signals in SI units, on one clock."""
+"""Bags of other programs are read as named signals in SI units, on one clock."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 
 PLAIN = {kind: habits[0] for kind, habits in HABITS.items()}
-# One habit at a time, of those that a db3 file has; what is not read whole.
+# One habit at a time, also in db3 files if they can have it; LOST: habits that lose messages.
 OF_FILES = ("files", "metadata", "path")
 IN_DB3 = {"of messages", "of files", "cut", "zeros", "garbage"}
 DRAWN = [("mcap", kind, habit) for kind, habits in HABITS.items() for habit in habits[1:]]
@@ -22,8 +22,9 @@ NOT_READ = {"another bench", "another type"}
 
 
 @pytest.mark.parametrize(("storage", "kind", "habit"), DRAWN)
-def test_bags_of_every_habit_are_read_right_or_say_what_is_lost(tmp_path, storage, kind, habit):
-    """Storages, compressions, damage, clocks, disorder, other traffic: each alone, by its truth."""
+def test_bags_of_every_habit_are_read_right_or_losses_reported(tmp_path, storage, kind, habit):
+    """Each storage, compression, damage, clock, disorder, other traffic alone, compared with what
+    was written."""
     bag = write_drawn(tmp_path, np.random.default_rng(3), PLAIN | {"storage": storage, kind: habit})
     is_refused = habit in NOT_READ or (storage, kind) == ("sqlite3", "end")
     end, why = outcome(bag)
@@ -32,7 +33,7 @@ def test_bags_of_every_habit_are_read_right_or_say_what_is_lost(tmp_path, storag
 
 @pytest.mark.parametrize("habits", [
     {"storage": "sqlite3"},
-    # What was read wrong when it was found first.
+    # Combinations that were once read wrong.
     {"clock": "one never stamped, an hour apart", "stamps": "repeated"},
     {"clock": "from 0, computer's beside", "stamps": "one far away"},
     {"files": "one missing", "metadata": "missing"},
@@ -40,7 +41,7 @@ def test_bags_of_every_habit_are_read_right_or_say_what_is_lost(tmp_path, storag
     {"inside": "no chunks", "end": "zeros"},
 ])  # fmt: skip
 @pytest.mark.parametrize("seed", range(4))
-def test_a_bag_of_several_habits_is_read_right_and_what_is_lost_is_said(tmp_path, habits, seed):
+def test_a_bag_of_several_habits_is_read_right_or_losses_reported(tmp_path, habits, seed):
     bag = write_drawn(tmp_path, np.random.default_rng(seed), PLAIN | habits)
     end, why = outcome(bag)
     assert end not in (WRONG, RAISED), why
@@ -49,7 +50,7 @@ def test_a_bag_of_several_habits_is_read_right_and_what_is_lost_is_said(tmp_path
 
 @pytest.mark.parametrize("cut", [1, 200, 5000])
 def test_an_sqlite3_file_without_its_end_is_refused(tmp_path, cut):
-    """SQLite itself would find fewer rows, without a word."""
+    """SQLite itself would silently find fewer rows."""
     write_drawn(tmp_path, np.random.default_rng(1), PLAIN | {"storage": "sqlite3"})
     (file,) = tmp_path.rglob("*.db3")
     file.write_bytes(file.read_bytes()[:-cut])
@@ -57,8 +58,8 @@ def test_an_sqlite3_file_without_its_end_is_refused(tmp_path, cut):
         read_record(file)
 
 
-def test_topics_that_take_turns_at_rates_of_their_own_are_read_in_order(tmp_path):
-    """A room's thermometer once a second, a deflection ten times between: nothing to be said."""
+def test_topics_with_different_rates_are_read_without_findings(tmp_path):
+    """An ambient temperature at 1 Hz and a deflection at 10 Hz."""
     slow, fast = np.arange(40.0), np.arange(0.0, 40.0, 0.1)
     given = [Signal("ambient.temperature", "K", slow, 295.0 + slow),
              Signal("deflection", "m", fast, 1e-3 * fast)]
@@ -68,8 +69,8 @@ def test_topics_that_take_turns_at_rates_of_their_own_are_read_in_order(tmp_path
     assert record["deflection"].values == pytest.approx(1e-3 * fast)
 
 
-def said(record, subject):
-    """Severity and numbers of what is said of a topic, signal or file."""
+def findings(record, subject):
+    """Severity and numbers of the findings about a topic, signal or file."""
     return [(f.severity, f.numbers) for f in record.findings if f.subject == subject]
 
 
@@ -80,11 +81,11 @@ def test_two_topics_for_one_meaning_are_an_error_that_names_both(tmp_path, write
     with pytest.raises(InputError, match="both /a/wire/power and /b/wire/power"):
         read_record(bag)
     assert read_record(bag, namespace="b")["wire.voltage"].topic == "/b/wire/power"
-    # One that is declared and has no messages is no candidate.
+    # A topic that is declared but has no messages is no candidate.
     declare = [("/a/wire/power", "sensor_msgs/msg/BatteryState")]
     record = read_record(write_bag(tmp_path / "declared", content[1:], declare=declare))
     assert record["wire.voltage"].topic == "/b/wire/power"
-    assert said(record, "/a/wire/power") == [("info", {})]
+    assert findings(record, "/a/wire/power") == [("info", {})]
 
 
 def test_commands_of_the_wrong_length_or_with_nan_are_left_out(tmp_path, write_bag, messages):
@@ -97,10 +98,10 @@ def test_commands_of_the_wrong_length_or_with_nan_are_left_out(tmp_path, write_b
     command = record["voltage_command"]
     assert command.values.tolist() == [[1, 2], [3, 4], [8, 9]]
     assert command.time.tolist() == [0, 1, 6]
-    assert said(record, "/bench/voltage_command") == [("warning", {"messages": 4})]
+    assert findings(record, "/bench/voltage_command") == [("warning", {"messages": 4})]
 
 
-def test_a_joint_that_is_named_twice_is_its_first_and_said_once(tmp_path, write_bag, messages):
+def test_of_a_joint_named_twice_the_first_is_used_with_one_finding(tmp_path, write_bag, messages):
     arrays = dict.fromkeys(("position", "velocity", "effort"), np.array([1.0, 2.0]))
     stamps = range(messages.start, messages.start + 3 * 10**9, 10**9)
     content = [("/bench/joint_states",
@@ -108,7 +109,7 @@ def test_a_joint_that_is_named_twice_is_its_first_and_said_once(tmp_path, write_
                for t in stamps]
     record = read_record(write_bag(tmp_path / "bag", content))
     assert record["elongation"].values.tolist() == record["force"].values.tolist() == [1.0] * 3
-    assert said(record, "/bench/joint_states") == [("warning", {"messages": 3})]
+    assert findings(record, "/bench/joint_states") == [("warning", {"messages": 3})]
 
 
 def test_invalid_ranges_are_kept_and_flagged(tmp_path, write_bag, messages):
@@ -119,11 +120,11 @@ def test_invalid_ranges_are_kept_and_flagged(tmp_path, write_bag, messages):
         content.append(("/bench/back/range", distance, messages.start))
     record = read_record(write_bag(tmp_path / "bag", content))
     assert record["back.range"].values == pytest.approx([0.1, np.inf, -np.inf, 0.3])
-    flagged = [n for severity, n in said(record, "/bench/back/range") if severity == "warning"]
-    assert flagged == [{"count": 1}] * 3  # too close, too far, outside what it says it measures
+    flagged = [n for severity, n in findings(record, "/bench/back/range") if severity == "warning"]
+    assert flagged == [{"count": 1}] * 3  # too close, no target, outside min_range to max_range
 
 
-def test_variance_of_a_camera_comes_with_its_readings_and_0_is_none(tmp_path, write_bag, messages):
+def test_a_variance_becomes_the_std_of_readings_and_0_is_unknown(tmp_path, write_bag, messages):
     for k, (variances, std) in enumerate((((0.25, 0.25, 1.0, 0.0), [0.5, 0.5, 1.0, 0.5]),
                                           ((0.0,) * 4, None))):
         content = [("/b/wire/temperature", messages.temperature(t, 30.0, variance=v), t)

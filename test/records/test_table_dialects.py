@@ -1,4 +1,5 @@
-"""Other people's tables: a few dialects as `./bench check tables` draws them, against the truth."""
+"""Tables of other loggers: a few of those that `./bench check tables` draws, compared with what was
+written to them."""
 
 import ast
 from pathlib import Path
@@ -20,7 +21,7 @@ PLAIN = {feature: habits[0] for feature, habits in HABITS.items()}
 
 
 @pytest.mark.parametrize("number", [0, 1, 6, 8])  # clamped, on a spring, isobaric, tensile
-def test_a_plain_table_is_read_right_and_a_lost_row_found_out(tmp_path, number):
+def test_a_plain_table_is_read_right_and_a_lost_row_is_noticed(tmp_path, number):
     truth = true_table(number, 1)
     sample = write(truth, PLAIN, tmp_path, np.random.default_rng(1))
     assert sample.tells
@@ -34,17 +35,17 @@ def test_a_plain_table_is_read_right_and_a_lost_row_found_out(tmp_path, number):
 
 
 READERS = "cells tables import_map instrument_files instruments"
-# Functions, and which of their arguments is a sentence.
-SAYING = {"said": 0, "sheet.refusal": 0, "self.refusal": 0, "ask": 1, "self.ask": 1}
-SAYING |= {"sheet.remark": 2, "self.remark": 2}
+# Functions that take the key of a sentence, and the index of that argument.
+KEY_OF = {"message": 0, "cells.message": 0, "sheet.refusal": 0, "self.refusal": 0, "ask": 1}
+KEY_OF |= {"self.ask": 1, "sheet.remark": 2, "self.remark": 2}
 
 
-def test_every_sentence_is_said_with_the_values_that_it_has():
+def test_every_sentence_is_used_and_gets_its_values():
     sentences, found = WORDS["sentences"], set()
     for stem in READERS.split():
         path = Path(cells.__file__).with_name(f"{stem}.py")
         calls = (n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call))
-        pairs = ((c, a) for c in calls for a in c.args[SAYING.get(ast.unparse(c.func), 99) :][:1])
+        pairs = ((c, a) for c in calls for a in c.args[KEY_OF.get(ast.unparse(c.func), 99) :][:1])
         for call, argument in pairs:
             keys = {k.value for k in ast.walk(argument) if isinstance(k, ast.Constant)}
             for key in keys & set(sentences):
@@ -55,17 +56,17 @@ def test_every_sentence_is_said_with_the_values_that_it_has():
 
 
 @pytest.mark.parametrize(("text", "quantity", "value"), CASES["numbers"])
-def test_a_number_is_stated_whole_and_no_digits_of_a_name_are_one(text, quantity, value):
+def test_a_stated_number_is_read_whole_and_digits_of_a_name_are_not(text, quantity, value):
     assert number_with_unit(text, quantity) == (None if value is None else pytest.approx(value))
 
 
 @pytest.mark.parametrize(("title", "parts"), CASES["titles"])
-def test_a_unit_with_a_factor_is_not_known_and_a_side_is_none(title, parts):
+def test_a_unit_with_a_factor_is_unknown_and_a_side_is_not_a_unit(title, parts):
     assert split_title(title) == tuple(parts)
     assert not any(mark in parts[1] for mark in "x*/") or parse_unit(parts[1]) is None
 
 
-def test_slips_of_units_are_read_where_nothing_else_can_be_meant():
+def test_misspelt_units_are_read_if_they_are_unambiguous():
     for text, unit in (("VDC", "V"), ("ADC", "A"), ("oC", "degC"), ("Mpa", "MPa")):
         assert parse_unit(text) == parse_unit(unit) is not None
     assert parse_unit("10^-3").factor == 1e-3 and parse_unit("mPa") is None
@@ -74,7 +75,7 @@ def test_slips_of_units_are_read_where_nothing_else_can_be_meant():
         assert cells.title_meanings(title)
 
 
-def test_dates_are_taken_in_the_order_that_leaves_no_hole_and_two_digits_of_a_year_are_said():
+def test_dates_are_read_in_the_order_without_long_pauses_and_short_years_are_remarked():
     seconds, epoch, _, remark = moments_of(["01/02/2026 23:59:59", "01/03/2026 00:00:00"])
     assert list(seconds) == [0.0, 1.0] and epoch == 1767398399
     assert remark == "01/02/2026 is taken as 2026-01-02"
@@ -87,13 +88,13 @@ def test_dates_are_taken_in_the_order_that_leaves_no_hole_and_two_digits_of_a_ye
 
 
 @pytest.mark.parametrize(("cells", "is_asked"), CASES["dots"])
-def test_dots_that_may_be_of_thousands_are_asked_about(cells, is_asked, tmp_path):
+def test_dots_that_may_separate_thousands_are_refused(cells, is_asked, tmp_path):
     for k, times in enumerate((("0", "1", "2"), ("0.0", "0.5", "1.0"))):
         rows = "".join(f"{t};{cell}\n" for t, cell in zip(times, cells, strict=True))
         path = tmp_path / f"{k}.csv"
         path.write_text(f"Time (s);Voltage (mV)\n{rows}")
         if is_asked and not k:
-            with pytest.raises(InputError, match="'1.[0-9]{3}' may have a decimal or a thousand"):
+            with pytest.raises(InputError, match="'1.[0-9]{3}' may have a decimal sign or a thous"):
                 read_table_file(path)
         else:
             assert read_table_file(path).columns[1].values[1] == float(cells[1])

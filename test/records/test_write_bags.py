@@ -1,4 +1,4 @@
-"""Signals survive a bag; a bag is there whole or not at all."""
+"""Signals are the same after writing and reading; a bag is complete or not there at all."""
 
 import os
 import sys
@@ -52,7 +52,7 @@ def test_any_signals_come_back_as_they_were(tmp_path_factory, data):
         np.testing.assert_allclose(back.values, signal.values, rtol=1e-12, atol=1e-12)
 
 
-def test_a_record_keeps_receive_times_markers_and_commands_and_rosbags_reads_it(tmp_path, messages):
+def test_receive_times_markers_and_commands_are_written_and_rosbags_reads_them(tmp_path, messages):
     warm = Signal("wire.temperature", "K", CLOCK, 300 + CLOCK, CLOCK + 0.02)
     command = Signal("voltage_command", "V", CLOCK, np.column_stack([CLOCK, -CLOCK]))
     pull = Signal("force", "N", CLOCK, CLOCK)
@@ -86,7 +86,7 @@ def test_signals_that_fit_no_message_are_refused_and_leave_nothing(tmp_path, nam
     assert list(tmp_path.iterdir()) == []
 
 
-def test_no_bag_is_begun_where_it_cannot_be_written(tmp_path, monkeypatch, write_bag, ramp):
+def test_a_path_that_cannot_be_written_is_refused(tmp_path, monkeypatch, write_bag, ramp):
     taken = tmp_path / "file"
     taken.write_text("precious")
     for path, said in ((taken, "exists already"), (taken / "bag", "cannot be written")):
@@ -104,14 +104,14 @@ def test_no_bag_is_begun_where_it_cannot_be_written(tmp_path, monkeypatch, write
             BagWriter(tmp_path / "bag")
     held = [os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.exists()]
     assert not [path for path in held if str(tmp_path) in path]
-    monkeypatch.setitem(sys.modules, "mcap.writer", None)  # without it all others are read
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)  # reading does not need it
     with pytest.raises(InputError, match="mcap") as refused:
         BagWriter(tmp_path / "new")
     assert "\n" not in str(refused.value) and not (tmp_path / "new").exists()
     assert len(read_record(write_bag(tmp_path / "read", ramp))["wire.voltage"]) == 200
 
 
-def test_a_bag_is_readable_after_every_flush_and_takes_what_was_announced(tmp_path, messages):
+def test_a_bag_is_readable_after_every_flush_and_takes_only_announced_topics(tmp_path, messages):
     bag, topic = tmp_path / "bag", "/bench/wire/temperature"
     with BagWriter(bag) as writer:
         assert (bag / "metadata.yaml").exists()
@@ -139,7 +139,7 @@ def test_a_bag_is_readable_after_every_flush_and_takes_what_was_announced(tmp_pa
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_of_many_writers_of_one_path_at_once_one_writes_and_the_others_have_a_line(tmp_path, whole):
+def test_of_many_writers_of_one_path_at_once_one_writes_and_the_others_fail(tmp_path, whole):
     gate = threading.Barrier(8)
 
     def written(_):
