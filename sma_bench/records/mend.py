@@ -14,7 +14,7 @@ from sma_bench.records import check
 from sma_bench.records.check import FEWEST, check_response, finding_of, kind_of
 from sma_bench.records.record import Record, Signal, as_calibrated
 
-_MAX_DELAY = 1.0  # s, of a camera image from exposure to arrival: its clock may still be right
+_MAX_DELAY = 1.0  # s, of a camera image from exposure to arrival; longer means a wrong clock
 _LEAST_STROKE = 3e-3  # strain; a wire that only expands with heat moves less
 _LEAST_STATED = 0.1  # of the scatter of the readings; a smaller stated deviation is not used
 # Two-valued readings: this share of them lies this near (of the range) to one of two values, they
@@ -55,7 +55,7 @@ def prepare(records: Sequence[Record], parameters: Parameters,
         sound, found = comparable(record, [f for r, f in response if r is record])
         sound, unseen = without_unseen_drive(sound)
         omitted += [(record, finding) for finding in (*found, *unseen)]
-        # A weight is a parameter of the model; a load cell that holds it shows nothing else.
+        # The force of a weight is a parameter, so that readings of a load cell are not compared.
         kept.append(_without_signals(sound, ["force"] if kind == "force" else []))
     remarked = (*known, *doubts, *response, *omitted)
     remarks = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked]
