@@ -60,7 +60,7 @@ def test_simulated_bag_holds_the_protocol_and_its_steady_state(tmp_path, capsys)
     # With parameters of another rig, the error names both rigs, in one line whatever the names.
     four = ["--set", "bench.channels=[a, b]", "--set", "bench.channel_sides=[front, back]"]
     line = refuse(capsys, "simulate", "--input", bag, *four, "--out", tmp_path / "other")
-    assert "a bench of a, b" in line and "one of wire" in line
+    assert "the channels a, b" in line and "voltages of wire" in line
     assert "config/wire_rig.yaml" in line
     assert len(refuse(capsys, "info", "x" * 5000)) < LONGEST_LINE + 30
 

@@ -106,7 +106,7 @@ ODD_STAMPS = "UPDATE messages SET timestamp = {} WHERE rowid % 7 = 3"
 
 @pytest.mark.parametrize(("statements", "said", "readings"), [
     (("DROP TABLE messages", TRICKS[0]), "refused: .*messages is no", 0),
-    (("DROP TABLE messages", TRICKS[1]), "refused: .*messages has columns", 0),
+    (("DROP TABLE messages", TRICKS[1]), "refused: .*messages has computed columns", 0),
     (("DROP TABLE messages", TRICKS[2]), "refused: .*messages is no", 0),
     (ENTERED_VIEW, "refused: .*(messages is no|malformed)", 0),
     ((ODD_STAMPS.format("'now'"),), "", 17), ((ODD_STAMPS.format("1e308"),), "", 17),
