@@ -32,7 +32,7 @@ from sma_bench.arrays import Array
 from sma_bench.diagnose.decision import NAMES, SIGNS, Utilities
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.search import search
-from sma_bench.diagnose.sizes import Weighed, weighed
+from sma_bench.diagnose.sizes import DecisionInputs, decision_inputs
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe_all
 from sma_bench.parameters import Parameters
@@ -118,14 +118,15 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     for name in names:
         signals = {s.name: s for s in case.signals(sized.features, name)}
         records.append(mended(Record(Path(name), case.starts[name], signals))[0])
-    looked_at = weighed(search(observe_all(records, nominal, QUANTITIES[card.signals]), nominal))
-    utilities = Utilities(looked_at)
+    observations = observe_all(records, nominal, QUANTITIES[card.signals])
+    inputs = decision_inputs(search(observations, nominal))
+    utilities = Utilities(inputs)
     today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
               "distinguishable", "load", "forms", "law_distance", "transformation_law",
               "loops_distance", "inner_loops", "beyond_parameters")
     return {"label": {name: label[name] for name in wanted}, "today": today, "plain": plain,
-            "records": len(names), "stated": len(nominal.given), "facts": asdict(looked_at)}
+            "records": len(names), "stated": len(nominal.given), "facts": asdict(inputs)}
 
 
 # --- Weights from what is stored.
@@ -146,7 +147,7 @@ class Known:
 
     def __init__(self, line: dict[str, Any]) -> None:
         self.label = line["label"]
-        found = msgspec.convert(line["facts"], Weighed)
+        found = msgspec.convert(line["facts"], DecisionInputs)
         own = Utilities(found)
         self.names, self.x, self.fixed = own.names, own.features()[0], own.fixed
         # A partner that does less than a tenth is a remark: the pair stands for its better half.

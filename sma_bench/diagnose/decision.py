@@ -33,7 +33,7 @@ from sma_bench.diagnose.result import (
     inclusion,
 )
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import REMARK, Weighed, effect_fits, own_gap
+from sma_bench.diagnose.sizes import REMARK, DecisionInputs, effect_fits, own_gap
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import LAW_EFFECT, OTHER_LAWS
@@ -74,7 +74,7 @@ class Learnt:
     ridge: float  # penalty in the fit of the weights
     fit_lapse: float  # lapse in that fit
     lapse: float
-    least: float  # probability from which explanations are credible (true one included: 90 %)
+    least: float  # least probability of credible explanations, which include the true one in 90 %
     weights: dict[str, tuple[float, float]]
 
     @property
@@ -90,7 +90,7 @@ def learnt() -> Learnt:
 class Utilities:
     """Features and utilities of explanations; effects first, then the three without one."""
 
-    def __init__(self, found: Weighed) -> None:
+    def __init__(self, found: DecisionInputs) -> None:
         self.found, facts = found, found.candidates
         self.effects = tuple(facts)
         self.names = (*facts, RECALIBRATION, NO_GAP, UNEXPLAINED)
@@ -180,19 +180,19 @@ class Candidate(Explanation):
     fit: Fit | None = None
 
 
-def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
+def decide(search: Search, utilities: Utilities) -> tuple[Candidate, ...]:
     """All candidates, the most probable first. If one effect of a pair contributes almost nothing,
     the other one gets the pair's probability, and the small effect as a remark."""
-    found, facts = weighed.found, weighed.found.candidates
+    found, facts = utilities.found, utilities.found.candidates
     fits = effect_fits(search) | {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
-    probabilities = dict(zip(weighed.names, weighed.probabilities().tolist(), strict=True))
+    probabilities = dict(zip(utilities.names, utilities.probabilities().tolist(), strict=True))
     remarks = dict[str, dict[str, float]]()
     for pair, (main, small) in found.remarks().items():
         share, parts = probabilities.pop(pair), facts[pair].parts
         probabilities[main] += share
         if share >= WORTH_SAYING:
             remarks.setdefault(main, {})[small] = parts[small] / parts[main]
-    nats, candidates = weighed.nats(), []
+    nats, candidates = utilities.nats(), []
     for name, probability in probabilities.items():
         stages, numbers, gap, gain = [], {}, found.moved, 0.0
         if name in facts:
@@ -245,9 +245,9 @@ def estimates(fitted: Fit) -> dict[str, Estimate]:
             for name, value, std in zip(fitted.unknowns.names, values, stds, strict=True)}
 
 
-def named(candidates: Sequence[Candidate], weighed: Utilities) -> tuple[str, ...]:
+def named(candidates: Sequence[Candidate], utilities: Utilities) -> tuple[str, ...]:
     """Effects with a total probability of at least NAMED, the largest gain alone first."""
-    found, facts = inclusion(candidates), weighed.found.candidates
+    found, facts = inclusion(candidates), utilities.found.candidates
     return tuple(sorted((name for name, p in found.items() if p >= NAMED),
                         key=lambda name: -facts[name].gain if name in facts else 0.0))
 

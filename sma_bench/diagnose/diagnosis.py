@@ -24,7 +24,7 @@ from sma_bench.diagnose.result import (
     Where,
 )
 from sma_bench.diagnose.search import Progress, Search, held_back, search
-from sma_bench.diagnose.sizes import contribution, locate, sensors_noise, shrinkage, weighed
+from sma_bench.diagnose.sizes import contribution, decision_inputs, locate, sensors_noise, shrinkage
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe_all
@@ -92,7 +92,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     # The verdict, and the most probable model that can be simulated.
     observed = observe_all(ready.records, parameters, quantities)
     found = search(observed, parameters, progress, ready.doubted)
-    utilities = Utilities(weighed(found))
+    utilities = Utilities(decision_inputs(found))
     decided = decision.decide(found, utilities)
     candidates = decision.with_law(decided)
     verdict = decision.verdict_of(candidates)

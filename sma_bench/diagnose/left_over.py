@@ -36,7 +36,7 @@ _MOST = 0.8  # share of an input's effect in the reported stretch; a tenth lies 
 
 
 @dataclass(frozen=True)
-class Left:
+class ResidualTest:
     """Residual of a fit in motion and at rest."""
 
     ratio: float  # log of variance in motion over at rest, in standard deviations; largest of all
@@ -44,7 +44,7 @@ class Left:
     outlier: float  # largest whitened residual, in standard deviations: a single event shows there
 
 
-def left_over(fitted: Fit) -> Left:
+def residual_test(fitted: Fit) -> ResidualTest:
     """Compare the residual above and below the median speed of each simulated signal."""
     problem, found, outlier = fitted.problem, [(-np.inf, "")], 0.0
     rates = [rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))]
@@ -57,18 +57,18 @@ def left_over(fitted: Fit) -> Left:
         spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
         found.append((float(np.log(fast / slow) / spread), block.signal.name))
         outlier = max(outlier, float(np.max(np.abs(white))))
-    return Left(*max(reversed(found), key=itemgetter(0)), outlier)
+    return ResidualTest(*max(reversed(found), key=itemgetter(0)), outlier)
 
 
 @dataclass(frozen=True, eq=False)
-class Flexible:
+class SmoothResponse:
     """A smooth response of free form, fitted to the residual of a fit."""
 
     gain: float  # nats over the fit, each with the noise model of its own residual
     response: Array  # (n,) of the readings
 
 
-def flexible_residual(fitted: Fit) -> Flexible:
+def free_response(fitted: Fit) -> SmoothResponse:
     """Fit a response to the features of drive, temperature, bending and time."""
     made = [own for o in fitted.problem.observations
             for own in _features(o, o.simulate(fitted.parameters))]
@@ -79,14 +79,14 @@ def flexible_residual(fitted: Fit) -> Flexible:
     return smooth_response(fitted, np.vstack(rows))
 
 
-def smooth_response(fitted: Fit, features: Array) -> Flexible:
+def smooth_response(fitted: Fit, features: Array) -> SmoothResponse:
     """Fit features (n, p) with independent Gaussian weights to the residual of a fit."""
     own = _likelihood(fitted.problem, fitted.left)
     # Begin with little drift: the noise model of a poor fit has absorbed the residual.
     noises = {name: replace(noise, drift=min(noise.drift, noise.white))
               for name, noise in fitted.problem.noise.items()}
     problem = replace(fitted.problem, noise=noises)
-    best = Flexible(0.0, np.zeros_like(fitted.left))
+    best = SmoothResponse(0.0, np.zeros_like(fitted.left))
     for _ in range(_ROUNDS):
         # Project out what the fitted unknowns could still absorb.
         rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
@@ -104,7 +104,7 @@ def smooth_response(fitted: Fit, features: Array) -> Flexible:
         gain = _likelihood(problem, fitted.left) + float(max(gains)) - own
         response = features @ (vectors @ shrunk[int(np.argmax(gains))])
         if gain > best.gain:
-            best = Flexible(gain, response)
+            best = SmoothResponse(gain, response)
         problem = problem.with_noise(fitted.left - response)
     return best
 
@@ -178,12 +178,12 @@ def _unit(history: Array) -> Array:
 # grey-box models: N. R. Kristensen, H. Madsen, S. B. Jorgensen, Automatica 40, 2004).
 
 
-def process_noise(fitted: Fit) -> dict[str, Flexible]:
+def process_noise(fitted: Fit) -> dict[str, SmoothResponse]:
     """The best input to each stage, the stage with the largest gain first."""
     made = in_threads(_inputs, [(obs, fitted.parameters) for obs in fitted.problem.observations])
     rows = [sum(len(s.time) for s in obs.signals) for obs in fitted.problem.observations]
 
-    def found(key: tuple[str, str]) -> Flexible:
+    def found(key: tuple[str, str]) -> SmoothResponse:
         # Every record has an input of its own.
         parts = [own.get(key, np.zeros((n, 0))) for own, n in zip(made, rows, strict=True)]
         features = block_diag(*parts)
@@ -191,13 +191,13 @@ def process_noise(fitted: Fit) -> dict[str, Flexible]:
         return smooth_response(fitted, features)
 
     keys = list(dict.fromkeys(key for own in made for key in own))
-    each: dict[str, Flexible] = {}
+    each: dict[str, SmoothResponse] = {}
     for (stage, _), one in zip(keys, in_threads(found, [(key,) for key in keys]), strict=True):
         each[stage] = max(each.get(stage, one), one, key=lambda own: own.gain)
     return dict(sorted(each.items(), key=lambda item: -item[1].gain))
 
 
-def missed(fitted: Fit, stage: str, best: Flexible) -> Missed | None:
+def missed(fitted: Fit, stage: str, best: SmoothResponse) -> Missed | None:
     """Where an input to a stage acts; None if it gains nothing."""
     if best.gain <= 0.0:
         return None

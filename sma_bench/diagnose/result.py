@@ -165,7 +165,7 @@ class DiagnosisResult(Carded):
     cause: tuple[str, ...]  # effects, empty unless the verdict is effect
     candidates: tuple[Explanation, ...]  # the most probable first
     where: Where
-    shrinkage: dict[str, Shrinkage]  # by quantity, on data that no fit saw
+    shrinkage: dict[str, Shrinkage]  # by quantity, on held-out data
     moved: tuple[Moved, ...] = ()  # far from stated in the best model
     difference: Difference | None = None  # between the two best models
     left: LeftOver | None = None  # residual of the best model
@@ -174,7 +174,7 @@ class DiagnosisResult(Carded):
     next_experiment: NextExperiment | None = None
     record: tuple[str, ...] = ()  # remarks on the readings: suspect, excluded, repaired
     findings: tuple[Finding, ...] = ()  # remarks on records and parameters
-    # probability of credible candidates; they included the true one in 90 % of the learning cases
+    # least probability of credible candidates, which include the true one in 90 % of learning cases
     least_credible: float = 0.05
     path: str = "diagnosis"  # of the result file
 

@@ -13,7 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sma_bench.arrays import Array
 from sma_bench.border import read_yaml
 from sma_bench.compiled import in_threads
-from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over, process_noise
+from sma_bench.diagnose import left_over
 from sma_bench.estimation.laws import nearest_starts, starts
 from sma_bench.estimation.nuisances import STATE, TICK
 from sma_bench.estimation.observation import MOVED, Observation
@@ -41,7 +41,7 @@ _MOST_FROM_STATED = 3  # singles that are fitted from the stated parameters as w
 _MOST_PAIRED, _PARTNERS = 3, 3  # singles that get partners, and how many each
 _HOPELESS = 0.5  # of the best single's gain: a single that gains less gets no partners
 _STANDS_STILL = 0.05  # of the measured motion: a simulated one that is smaller is none
-_DRAWN, _STARTED = 60, 2  # benches tried if the stated one does not move, and fitted from
+_DRAWN, _STARTED = 60, 2  # benches drawn if the stated one does not move, and starts among them
 _LOST = 5.0  # nats below recalibration, where the fit has probably failed and is repeated
 _FIRST = 2  # most promising effects, fitted before the others
 _MOST_FORMS = 4  # that are fitted in addition to the usual ones
@@ -81,13 +81,13 @@ class Search:
     singles: dict[str, Fit]  # by effect
     pairs: dict[tuple[str, str], Fit]  # by two effects, those that were worth a fit
     best: Fit  # of all these, the one with the largest evidence
-    flexible: Flexible  # for the residual of recalibration
-    beyond: Flexible  # for the residual of the best candidate
-    left: Left  # whether recalibration's residual depends on what the bench does
-    left_by_best: Left  # the same of the best
+    flexible: left_over.SmoothResponse  # for the residual of recalibration
+    beyond: left_over.SmoothResponse  # for the residual of the best candidate
+    left: left_over.ResidualTest  # whether recalibration's residual depends on what the bench does
+    left_by_best: left_over.ResidualTest  # the same of the best
     # a smooth input to each stage that explains the residual, the best stage first
-    inputs: dict[str, Flexible]
-    inputs_by_best: dict[str, Flexible]
+    inputs: dict[str, left_over.SmoothResponse]
+    inputs_by_best: dict[str, left_over.SmoothResponse]
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""
@@ -161,7 +161,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     best = max([recalibrated, *singles.values(), *pairs.values()], key=by_evidence)
     progress("residuals")
     fits = list(dict.fromkeys([recalibrated, best]))
-    looks = flexible_residual, left_over, process_noise
+    looks = left_over.free_response, left_over.residual_test, left_over.process_noise
     done = in_threads(lambda look, fitted: look(fitted), [(k, f) for k in looks for f in fits])
     # Each look at recalibration, and at the best, which may be the same fit.
     both = [done[n] for k in range(len(looks)) for n in (k * len(fits), (k + 1) * len(fits) - 1)]

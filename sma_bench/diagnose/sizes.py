@@ -169,14 +169,14 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Weighed:
+class DecisionInputs:
     """Inputs from one search."""
 
     candidates: dict[str, Facts]
     moved: float  # gap between the parameters as stated and as recalibrated, over noise
     surprise: float  # of recalibration: squared prior deviations of the bench's parameters
     as_stated: float  # evidence of the parameters as stated over recalibration [nats]
-    ratio: float  # `Left.ratio` and `Left.outlier` of the best candidate
+    ratio: float  # `ResidualTest.ratio` and `ResidualTest.outlier` of the best candidate
     outlier: float
     beyond: float  # nats that a smooth response gains over the best
     input: float  # the same of a smooth input to some stage
@@ -192,7 +192,7 @@ class Weighed:
         return found
 
 
-def weighed(search: Search) -> Weighed:
+def decision_inputs(search: Search) -> DecisionInputs:
     """All inputs of the decision."""
     recalibrated, fits = search.recalibrated, effect_fits(search)
     moved = recalibrated.x[: recalibrated.unknowns.bench]
@@ -208,7 +208,7 @@ def weighed(search: Search) -> Weighed:
         own = float(np.max(np.abs(fitted.x[first:])))
         return Facts(gain, gap, unsteady, own, parts)
 
-    return Weighed(
+    return DecisionInputs(
         dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
         float(moved @ moved), search.nominal.evidence - recalibrated.evidence,

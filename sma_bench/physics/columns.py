@@ -34,7 +34,7 @@ _WIRE = {
     ),
     # temperature = START + LAG xi; OFFSET: strain added to the contract's
     "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET", "STRETCHED",
-                "FOLLOWS", "BEGUN", "DETWINS"),
+                "ORIENTED_SLOPE", "ORIENTED_START", "ORIENTED_BY_STRESS"),
 }
 _SIDE = {
     # sum of stresses (if COUPLED minus the other side's) = LOAD + STIFFNESS e, or e is PRESCRIBED

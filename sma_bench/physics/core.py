@@ -33,11 +33,11 @@ from sma_bench.physics import orientation
 from sma_bench.physics.effects import slack
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.latent_heat import latent_rise
-from sma_bench.physics.effects.matrix_thermal_mass import look_beside, warm_together
-from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, resist, yield_sign
+from sma_bench.physics.effects.matrix_thermal_mass import combine_sinks, heat_with_silicone
+from sma_bench.physics.effects.opposing_wires import give_way, resist, set_passive, yield_sign
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
-from sma_bench.physics.effects.residual_strain import passes_most
-from sma_bench.physics.effects.side_heat_coupling import in_plume, look_across
+from sma_bench.physics.effects.residual_strain import exceeds_most
+from sma_bench.physics.effects.side_heat_coupling import in_plume, set_opposite
 from sma_bench.physics.effects.supply_drop import power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
 from sma_bench.physics.effects.temperature_lag import read
@@ -79,11 +79,11 @@ def heat_balance(wires, i, voltage, step):
     air = in_plume(wires, i, air_temperature(wires, i))
     heating = power(wires, i, voltage, resistance(wires, i), step)
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
-        look_beside(wires, i, wires[i, at.OPPOSITE_MATRIX], step)
+        combine_sinks(wires, i, wires[i, at.OPPOSITE_MATRIX], step)
         surface = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT]
-        return warm_together(wires, i, heating, loss(wires, i, surface - air), air, step)
+        return heat_with_silicone(wires, i, heating, loss(wires, i, surface - air), air, step)
     conductance = loss(wires, i, wires[i, at.TEMPERATURE] - air)
-    look_beside(wires, i, wires[i, at.OPPOSITE], step)
+    combine_sinks(wires, i, wires[i, at.OPPOSITE], step)
     total = conductance + wires[i, at.BESIDE]
     exponent = -step * total / wires[i, at.CAPACITY]
     wires[i, at.DECAY] = math.exp(exponent)
@@ -102,7 +102,7 @@ def prepare_side(wires, sides, side, step):
         sides[side, at.MATRIX_STIFFNESS] += sides[side, at.RELAXING_STIFFNESS]
         sides[side, at.MATRIX_LOAD] += sides[side, at.RELAXING_LOAD]
     if sides[side, at.ENGAGEMENT] > 0.0:
-        look_at_passive(wires, sides, side)
+        set_passive(wires, sides, side)
     set_regime(sides, side)
 
 
@@ -118,7 +118,7 @@ def set_regime(sides, side):
     if slack.hangs(sides, side):
         stiffness, load = 0.0, sides[side, at.SLIDES] * sides[side, at.RUBBING]
     elif sides[side, at.SLACK] + sides[side, at.SOFT_SLACK] > 0.0:
-        slack.straight_on(sides, side)
+        slack.linearise_bending(sides, side)
         slope = sides[side, at.PULLED_SLOPE]
         load += stiffness * (sides[side, at.PULLED_TO] - slope * sides[side, at.PULLED_FROM])
         stiffness *= slope
@@ -138,7 +138,7 @@ def change_regime(wires, sides, side):
     """After a solution: change the regime if the solution contradicts it; True if changed."""
     changed = False
     for i in range(wires.shape[0]):
-        changed |= pull_sign(wires, sides, i, side) != 0.0 and passes_most(wires, i)
+        changed |= pull_sign(wires, sides, i, side) != 0.0 and exceeds_most(wires, i)
     if changed or sides[side, at.PRESCRIBED] > 0.0:
         return changed
     if sides[side, at.ENGAGEMENT] > 0.0:
@@ -151,7 +151,7 @@ def change_regime(wires, sides, side):
         regime = slack.slide(sides, side) if rubs else slack.contact(sides, side)
         changed = regime != sides[side, column]
         sides[side, column] = regime
-    changed = changed or slack.gone_astray(sides, side)
+    changed = changed or slack.linearised_too_far(sides, side)
     if changed:
         set_regime(sides, side)
     return changed
@@ -327,7 +327,7 @@ def solve_nested(wires, sides, side, contraction):
 
 
 @borrowing
-def turn_by_drive(wires, i, excess):
+def reverse_by_drive(wires, i, excess):
     """Reverse a wire with moved ends once T - sigma/C_A of an elastic stretch has turned back."""
     modulus = wires[i, at.AUSTENITE_MODULUS] + wires[i, at.FRACTION] * wires[i, at.MODULUS_CHANGE]
     falls = excess * (1.0 - wires[i, at.DECAY])
@@ -348,7 +348,7 @@ def heat(wires, voltage, k, step):
             steady = wires[i, at.AMBIENT] + wires[i, at.HEATING] * voltage[k, i] * voltage[k, i]
         excess = wires[i, at.TEMPERATURE] - steady
         if wires[i, at.STRETCHED] != 0.0:
-            turn_by_drive(wires, i, excess)
+            reverse_by_drive(wires, i, excess)
         elif excess * wires[i, at.TREND] > 0.0:
             reverse(wires, i, -wires[i, at.TREND])
         wires[i, at.START] = steady + excess * wires[i, at.DECAY]
@@ -468,7 +468,7 @@ def run(time, voltage, wires, sides, history, strain):
                     wires[i, at.DECAY] = math.exp(exponent)
                     wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
             if effects:
-                look_across(wires)
+                set_opposite(wires)
                 for side in range(sides.shape[0]):
                     if sides[side, at.PULLS_OTHERWISE] > 0.0:
                         prepare_side(wires, sides, side, step)

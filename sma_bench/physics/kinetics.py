@@ -4,7 +4,7 @@ for incomplete loops. The two ramps of the contract's law are
     f = cos^2[pi/2 (T - A_s - sigma/C_A)/(A_f - A_s)],   1 below and 0 above its range,
     g = sin^2[pi/2 (T - M_f - sigma/C_M)/(M_s - M_f)],   0 below and 1 above its range,
 
-and xi_r, f_r, g_r are xi, f, g at the last reversal of the temperature, at its stress:
+and xi_r, f_r, g_r are xi, f, g at the last temperature reversal, with the stress at that time:
 
     T rising:   xi     = max[xi_r f/f_r,       min(1 - g/g_r, f)]
     T falling:  1 - xi = max[(1 - xi_r) g/g_r, min(1 - f/f_r, g)]

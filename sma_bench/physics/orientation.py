@@ -61,8 +61,8 @@ def orient(wires, i):
     grows = is_brinson and stress > wires[i, at.STRESS_BEFORE] and there > old - _EQUAL
     jump, compliance = (xi * (there - old), full * xi * slope) if grows else (0.0, 0.0)
     wires[i, at.STRESS_BEFORE] = stress
-    wires[i, at.FOLLOWS], wires[i, at.BEGUN] = follows, xi * (old - follows) + jump
-    wires[i, at.DETWINS] = xi * slope if grows else 0.0
+    wires[i, at.ORIENTED_SLOPE], wires[i, at.ORIENTED_START] = follows, xi * (old - follows) + jump
+    wires[i, at.ORIENTED_BY_STRESS] = xi * slope if grows else 0.0
     # sigma = E [... - q (sigma - sigma_0)] + ..., solved for sigma.
     change = wires[i, at.MARTENSITE_STIFF] - wires[i, at.AUSTENITE_STIFF]
     modulus = wires[i, at.AUSTENITE_STIFF] + xi * change
@@ -71,14 +71,15 @@ def orient(wires, i):
     wires[i, at.AUSTENITE_MODULUS] = modulus * softer - xi * wires[i, at.MODULUS_CHANGE]
     wires[i, at.EXPANSION] = wires[i, at.EXPANDS] * softer
     wires[i, at.RECOVERABLE_STRAIN] = full * follows
-    return full * (1.0 - follows - wires[i, at.BEGUN]) + compliance * stress
+    return full * (1.0 - follows - wires[i, at.ORIENTED_START]) + compliance * stress
 
 
 @borrowing
 def after_step(wires, i):
     """Update the oriented fraction of wire i."""
     xi, moved = wires[i, at.FRACTION], wires[i, at.STRESS] - wires[i, at.STRESS_BEFORE]
-    now = wires[i, at.BEGUN] + wires[i, at.FOLLOWS] * xi + wires[i, at.DETWINS] * moved
+    now = wires[i, at.ORIENTED_START] + wires[i, at.ORIENTED_SLOPE] * xi
+    now += wires[i, at.ORIENTED_BY_STRESS] * moved
     wires[i, at.ORIENTED] = min(max(now, 0.0), xi)
 
 

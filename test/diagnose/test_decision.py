@@ -19,7 +19,7 @@ from sma_bench.diagnose.decision import (
 )
 from sma_bench.diagnose.diagnosis import stages_of
 from sma_bench.diagnose.next_experiment import Separation, prospect
-from sma_bench.diagnose.sizes import Facts, Weighed
+from sma_bench.diagnose.sizes import DecisionInputs, Facts
 from sma_bench.parameters.parameter import TRANSITIONS
 
 # How much more it scatters in motion than at rest, and the largest outlier.
@@ -38,7 +38,7 @@ def weighed(gains, beyond=0.0, left=QUIET, records=2):
         own = gain if isinstance(gain, Facts) else of_effect(gain)
         parts = dict(zip(name.split("+"), own.parts.values(), strict=False))
         facts[name] = replace(own, parts=parts)
-    return Weighed(facts, 1.0, 10.0, 5.0, *left, beyond, beyond, records)
+    return DecisionInputs(facts, 1.0, 10.0, 5.0, *left, beyond, beyond, records)
 
 
 def utilities(gains, **options):

@@ -27,7 +27,7 @@ def warmed(wires, i, step):
 
 
 @borrowing
-def look_beside(wires, i, opposite, step):
+def combine_sinks(wires, i, opposite, step):
     """Combine the heat sinks of wire i other than air, the side `opposite` [K] and the clamp, into
     one conductance and temperature for a step; the clamp's is its mean over the step."""
     across, clamp = wires[i, at.ACROSS], wires[i, at.CLAMP_CONDUCTANCE]
@@ -40,7 +40,7 @@ def look_beside(wires, i, opposite, step):
 
 
 @borrowing
-def warm_together(wires, i, heating, loss, air, step):
+def heat_with_silicone(wires, i, heating, loss, air, step):
     """Solve wire and silicone at the end of the step, the part that is independent of xi; returns
     the wire's temperature [K] and sets its decay to 0. `loss`: h A_c at the surface."""
     share, across = wires[i, at.MATRIX_INNER_SHARE], wires[i, at.BESIDE]

@@ -23,7 +23,7 @@ LOOSE = 2.0  # value of YIELDING if buckled; 0: elastic, -1 or 1: yields that wa
 
 
 @borrowing
-def look_at_passive(wires, sides, side):
+def set_passive(wires, sides, side):
     """Set S', n sigma_d and n H of the wires opposite; reduce p if these recover."""
     modulus, fraction, count = 0.0, 0.0, 0
     for j in range(wires.shape[0]):

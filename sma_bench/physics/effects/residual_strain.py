@@ -53,7 +53,7 @@ def after_step(wires, i, fraction_before, step):
 
 
 @borrowing
-def passes_most(wires, i):
+def exceeds_most(wires, i):
     """After a solution: let all strain follow xi if 1 - xi exceeds m; True if that changed it."""
     most = wires[i, at.MOST_AUSTENITE]
     follows = wires[i, at.RECOVERABLE_STRAIN] == wires[i, at.FULL_STRAIN]

@@ -13,7 +13,7 @@ from sma_bench.physics import columns as at
 
 
 @borrowing
-def look_across(wires):
+def set_opposite(wires):
     """Set for every wire the mean temperatures of the wires and the silicone opposite."""
     for i in range(wires.shape[0]):
         matrix, count = 0.0, 0

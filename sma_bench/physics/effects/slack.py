@@ -18,7 +18,7 @@ friction (Armstrong-Helouvry et al. 1994)."""
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-ASTRAY = 1e-9  # contraction, tolerance of the linearised bending
+TOLERANCE = 1e-9  # contraction, tolerance of the linearised bending
 
 
 @borrowing
@@ -71,7 +71,7 @@ def slide(sides, side):
 
 
 @borrowing
-def straight_on(sides, side):
+def linearise_bending(sides, side):
     """Linearise the bending about the present contraction, for the next solution."""
     here = sides[side, at.CONTRACTION]
     sides[side, at.PULLED_TO], sides[side, at.PULLED_SLOPE] = pulls(sides, side, here)
@@ -79,13 +79,13 @@ def straight_on(sides, side):
 
 
 @borrowing
-def gone_astray(sides, side):
+def linearised_too_far(sides, side):
     """After a solution: True if the linearised bending is too far off at the new contraction."""
     if sides[side, at.SOFT_SLACK] <= 0.0:
         return False
     here = sides[side, at.CONTRACTION]
     went = sides[side, at.PULLED_SLOPE] * (here - sides[side, at.PULLED_FROM])
-    return abs(sides[side, at.PULLED_TO] + went - pulls(sides, side, here)[0]) > ASTRAY
+    return abs(sides[side, at.PULLED_TO] + went - pulls(sides, side, here)[0]) > TOLERANCE
 
 
 @borrowing
