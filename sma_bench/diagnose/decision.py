@@ -58,8 +58,8 @@ NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in f
 _AT = {name: k for k, name in enumerate(NAMES)}
 _WEIGHTS = Path(__file__).with_name("weights.yaml")
 _LIBRARY = 18  # effects in the learning cases; if there are more, each is less probable
-_NEAR = 5.0  # nats, plus
-_CLOSE = 0.1  # share of the gain: effects whose gain is at most so much smaller are rivals
+_NEAR = 5.0  # nats by which an effect may gain less and still be a rival
+_CLOSE = 0.1  # of the gain, in addition to these
 _NOISY = 4.0  # standard deviations of the largest of many samples of noise
 # The model's errors repeat in every record: beyond two, gains grow with the root of their number.
 _USUAL_RECORDS = 2

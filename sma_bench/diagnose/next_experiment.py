@@ -36,7 +36,7 @@ from sma_bench.parameters.paper_tests import TESTS, measured
 from sma_bench.physics.material import commanded_voltage, heating_voltage
 from sma_bench.protocols import parse_protocol
 
-_AS_GOOD = 0.8  # of the best worth: above it, the one with most worth per minute is proposed
+_AS_GOOD = 0.8  # of the best worth: of such experiments the one with most per minute is proposed
 _MOST_CAUSES = 6  # that are simulated
 _LEAST = 0.02  # probability from which a cause is simulated, if only as a rival
 _COOLER = 10.0  # K, margin of the simulated temperature below the bench's limit
@@ -111,8 +111,8 @@ class Separation(NamedTuple):
 
 
 Separations = dict[tuple[str, str], Separation]  # by (true cause, rival)
-# As large as any drive's; still larger ones settle less, because the equations are not exact.
-_PLAIN = (Separation(10.0, 4.5), Separation(30.0, 7.7), Separation(100.0, 14.0))
+# As large as those of any drive; larger ones settle less, because the equations are not exact.
+_LARGE = (Separation(10.0, 4.5), Separation(30.0, 7.7), Separation(100.0, 14.0))
 
 
 class OpenQuestion:
@@ -131,7 +131,7 @@ class OpenQuestion:
 
         self.before, *most = (
             prospect(who, self.probability, dict.fromkeys(pairs, one)).given
-            for who, one in ((utilities, Separation(0.0, 0.0)), *((unmoved, p) for p in _PLAIN)))
+            for who, one in ((utilities, Separation(0.0, 0.0)), *((unmoved, p) for p in _LARGE)))
         self.most = max(most) - self.before
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))

@@ -34,8 +34,8 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import CARRIED_OVER
 
-_CLOSE = 0.35  # of the best gain in evidence, or
-_NEAR = 15.0  # nats: singles within the larger of both are refined
+_CLOSE = 0.35  # of the best gain in evidence: singles that gain at most so much less are refined
+_NEAR = 15.0  # nats, the same; the larger limit counts
 _MOST_REFINED = 4  # singles
 _MOST_FROM_STATED = 3  # singles that are fitted from the stated parameters as well
 _MOST_PAIRED, _PARTNERS = 3, 3  # singles that get partners, and how many each
@@ -45,8 +45,8 @@ _DRAWN, _STARTED = 60, 2  # benches drawn if the stated one does not move, and s
 _LOST = 5.0  # nats below recalibration, where the fit has probably failed and is repeated
 _FIRST = 2  # most promising effects, fitted before the others
 _MOST_FORMS = 4  # that are fitted in addition to the usual ones
-_PROMISES = 10.0  # times the gain that a start promises: an effect where this is more than
-_BEYOND = 30.0  # nats below the best gain gets no fit
+_PROMISES = 10.0  # factor by which a fit may gain more than its start promises
+_BEYOND = 30.0  # nats: effects that even so would gain so much less than the best are not fitted
 _WORTH_A_FORM = 2.0  # nats that its start must promise
 _STUCK = 5.0  # nats of a better start that show that recalibration had not converged
 _MOST_PASSES, _MOVING = 4, 1.0  # passes of a refinement, and nats gained that are worth another
@@ -133,7 +133,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
         progress("effects again, as recalibration was stuck")
         singles = _singles(kinds, recalibrated, progress)
     if _surprises(recalibrated):
-        # A fit may not find back to the stated parameters: start the most promising ones there.
+        # A fit may not find its way back to the stated parameters: start the best effects there.
         progress("effects from the stated parameters")
         away, alike = problem.of_kind(STATE), problem
         if away.any():
@@ -179,7 +179,7 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     """Effects that this load and law can have and these signals show, and that are not stated."""
     stated, load, law = stated_effects(parameters), load_kind(parameters), parameters["wire.law"]
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
-    # If the motion is imposed, the force shows what elsewhere the motion shows.
+    # With imposed motion the force shows the effects that otherwise show in the deflection.
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
     known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()  # excluded
     known.add(LAW_EFFECT)  # in every candidate
