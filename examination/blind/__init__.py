@@ -1,1 +1,1 @@
-"""The withheld-effect check: a reality of its own, cases made with it, and their scorer."""
+"""The withheld-effect check: its own simulator (reality), cases made with it, and their scorer."""

@@ -1,4 +1,4 @@
-"""Files of an examination: answers read against the contract, cases, and sealed labels."""
+"""Files of an examination: answers checked against the contract, cases, and sealed labels."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from typing import Any
 from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically
 
-# --- The words of the contract that a case's label and an answer share.
+# --- Names of the contract that labels and answers share.
 STAGES = ("electrical", "thermal", "transformation", "mechanical", "sensor")
 VERDICTS = ("effect", "recalibration", "no_gap", "ambiguous", "unexplained")
 NO_GAP, RECALIBRATION, UNEXPLAINED = "no_gap", "recalibration", "unexplained"
@@ -33,9 +33,9 @@ _EFFECTS_OF = {
 STAGE_OF = {name: stage for stage, names in _EFFECTS_OF.items() for name in names.split()}
 
 
-# --- What a diagnosis says. Any program may be examined: its JSON is checked before it counts.
+# --- Answers of a diagnosis. Any program may be examined, so its JSON is checked first.
 PAIR_SIGN = "+"
-SUM_TOLERANCE = 2e-3  # probabilities are printed with four decimals and may be twenty
+SUM_TOLERANCE = 2e-3  # up to twenty probabilities, printed with four decimals
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Claim:
-    """By which share a signal's gap is said to shrink, with its 90 % interval; None: had no gap."""
+    """Claimed shrinkage of a signal's gap, with its 90 % interval; None: it had no gap."""
 
     fraction: float | None
     ci90: tuple[float | None, float | None] | None
@@ -70,8 +70,8 @@ class Claim:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to measure next: a `protocol` as in a protocol file, with `quantities` measured beside
-    those of the case, or a test of `parameters` to standard deviations."""
+    """What to measure next: a `protocol` as in a protocol file, with `quantities` measured in
+    addition to those of the case, or a test of `parameters` to standard deviations."""
 
     separates: tuple[str, ...]
     protocol: dict[str, Any]
@@ -93,7 +93,7 @@ class Answer:
 
 
 def by_effect(candidates: Sequence[Candidate]) -> dict[frozenset[str], float]:
-    """The probability of each effect in any candidate, of none missing, of one unknown."""
+    """Probability of each effect in any candidate, of no effect, and of an unknown one."""
     whole = {frozenset((RECALIBRATION, NO_GAP)): 0.0, frozenset((UNEXPLAINED,)): 0.0}
     for candidate in candidates:
         for part in candidate.parts:
@@ -104,7 +104,7 @@ def by_effect(candidates: Sequence[Candidate]) -> dict[frozenset[str], float]:
 
 def checked_answer(document: Any, where: str = "answer") -> Answer:
     """An Answer from a plain document; raises InputError where it breaks the contract."""
-    import msgspec  # robots that examine nobody do without
+    import msgspec  # not needed where nothing is examined
     try:
         json.dumps(document, allow_nan=False)
         answer = msgspec.convert(document, Answer)
@@ -120,7 +120,7 @@ def checked_answer(document: Any, where: str = "answer") -> Answer:
 
 
 def _clauses(answer: Answer) -> Iterator[tuple[str, bool]]:
-    """What is broken if a clause of the contract does not hold, and whether it does."""
+    """Clauses of the contract: the fault if one does not hold, and whether it holds."""
     names = [candidate.name for candidate in answer.candidates]
     total = math.fsum(candidate.probability for candidate in answer.candidates)
     effects = frozenset[str]().union(*(c.parts for c in answer.candidates)) - {*NO_EFFECT}
@@ -155,7 +155,7 @@ _CASE_NAME = re.compile(r"[0-9A-Za-z_]+\Z")
 
 @dataclass(frozen=True)
 class CaseSet:
-    """What a manifest says: the cases are folders below `folder`, the digest is the labels'."""
+    """A manifest: cases are folders below `folder`; `sealed_sha256` is that of the labels."""
 
     root: Path
     names: tuple[str, ...]
@@ -184,7 +184,7 @@ def read_case_set(root: str | Path) -> CaseSet:
 
 @contextmanager
 def _read(path: Path, decode: Callable[[bytes], Any] = json.loads) -> Iterator[Any]:
-    """What a file holds; whatever a damaged one raises is one line."""
+    """Decoded content of a file; any error of a damaged one becomes an InputError of one line."""
     try:
         yield decode(path.read_bytes())
     except FileNotFoundError:
@@ -193,7 +193,7 @@ def _read(path: Path, decode: Callable[[bytes], Any] = json.loads) -> Iterator[A
         raise InputError(f"{path}: damaged: {' '.join(str(error).split())}") from None
 
 
-# --- Labels under seal: one deflated file whose digest the manifest names.
+# --- Sealed labels: one compressed file whose digest is in the manifest.
 _HEAD = b"sma-bench labels, sealed: only the scorer opens them, after the last answer\n"
 
 
@@ -217,7 +217,7 @@ def unseal(path: Path, sha256: str) -> list[dict[str, Any]]:
 #
 #     examination.json            program, time limit, sha256 of the set's sealed labels
 #     0001/answer.json            {"case", "line", "seconds", "result"}: written last
-#     0001/improved.yaml          the parameters with the cause in them
+#     0001/improved.yaml          parameters that include the cause
 #     after_1/0001/               the same after the suggested experiment; at most three
 ANSWER, IMPROVED, EXAMINATION = "answer.json", "improved.yaml", "examination.json"
 FOLLOW_UPS = ("after_1", "after_2", "after_3")
@@ -229,8 +229,8 @@ Kept = namedtuple("Kept", "case answer line seconds improved")
 
 @dataclass(frozen=True)
 class Examination:
-    """Who was examined on what: its name in tables, the command line that takes the arguments of
-    `sma-bench diagnose`, s for one case, sha256 of the labels of the set."""
+    """Who was examined on what: `name` in tables, `program`, a command line that takes the
+    arguments of `sma-bench diagnose`, s for one case, sha256 of the labels of the set."""
 
     name: str
     program: tuple[str, ...]
@@ -241,7 +241,7 @@ class Examination:
 def keep(folder: Path, case: str, result: Any, line: str, seconds: float,
          improved: str | None = None) -> None:
     """Keep the plain document of an answer (None: failed, `line` says why) and the text of its
-    parameter file; it is there once answer.json is."""
+    parameter file; it counts once answer.json exists."""
     place = folder / case
     place.mkdir(parents=True, exist_ok=True)
     (place / IMPROVED).unlink(missing_ok=True)
@@ -270,7 +270,7 @@ def answers_of(folder: Path, case: str) -> list[Kept]:
 
 
 def write_examination(folder: Path, examination: Examination) -> None:
-    """Begin a folder of answers, or go on with it; raises InputError where it holds answers to
+    """Begin a folder of answers, or continue it; raises InputError where it holds answers to
     another set or of another program."""
     if (folder / EXAMINATION).is_file():
         there = read_examination(folder)

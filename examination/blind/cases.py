@@ -1,4 +1,4 @@
-"""Cases: what every effect moves, which case hides what, and all that is drawn for it."""
+"""Cases: features of every effect, which case hides which, and everything else that is drawn."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,7 +24,7 @@ CLAMPED, LOADS, ALL_LOADS = "clamped", ("clamped", *MOVING), "all"
 
 @dataclass(frozen=True)
 class Move:
-    """A feature goes with an effect's amount a by a times a `weight`, or the factor exp of that."""
+    """An effect's amount a adds a times a `weight` to a feature, or is a factor exp of that."""
 
     weight: tuple[float, float] = (1.0, 1.0)
     factor: bool = False
@@ -47,8 +47,8 @@ class Setting:
 
 @dataclass(frozen=True)
 class Form:
-    """One form of an effect: what it has in place of the effect's own, settings besides, and the
-    loads under which it differs from the effect's first form (from seed 2800 on)."""
+    """One form of an effect: moves and natural amounts instead of the effect's own, further
+    settings, and loads under which it differs from the effect's first form (from seed 2800 on)."""
 
     moves: dict[str, Move] | None = None
     natural: tuple[float, float] | None = None
@@ -71,7 +71,7 @@ class Symptom:
     loads: tuple[str, ...] = MOVING
 
     def in_form(self, name: str) -> "Symptom":
-        """The effect in one of its forms; as it is for ""."""
+        """The effect in one of its forms; unchanged for ""."""
         form = self.forms[name] if name else Form()
         return replace(self, moves=form.moves or self.moves, natural=form.natural or self.natural,
                        settings={**self.settings, **form.settings})
@@ -81,19 +81,19 @@ _HERE = Path(__file__)
 _DEALT = yaml.safe_load(_HERE.with_suffix(".yaml").read_text())
 _TABLE = msgspec.convert(yaml.safe_load(_HERE.with_name("symptoms.yaml").read_text()),
                          dict[str, dict[str, Symptom]])
-# The contract's effects, and what no diagnosis has in its library.
+# The contract's effects, and effects outside the library.
 EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
 # Effects of which every rig has a little; forms of what every rig has, with their features.
 OF_ALL_RIGS = ("temperature_dependent_convection", "deflection_drift", "temperature_lag")
 _ALWAYS: dict[str, dict[str, dict[str, float]]] = _DEALT["always"]
-# The largest amount that a target may ask for, over the largest natural one; the smallest, of it.
+# Largest and smallest amount for a target, in times the largest natural one.
 STRETCH, _SMALLEST = 1.5, 1e-4
-_TRIALS, _CLOSE, _STALLED = 6, 0.12, 1e-3  # close: of the target
+_TRIALS, _CLOSE, _STALLED = 6, 0.12, 1e-3  # log gap over target; step of the log amount
 
 
 @dataclass(frozen=True)
 class Draw:
-    """One rig's variety of an effect: everything about it but its amount."""
+    """An effect as drawn for one rig: everything except its amount."""
 
     symptom: Symptom
     sign: int
@@ -105,13 +105,13 @@ class Draw:
         changed = {**base, **self.settings}
         for (name, move), weight in zip(self.symptom.moves.items(), self.weights, strict=True):
             by = self.sign * amount * weight
-            if self.symptom.of_peak_current:  # of a limit that is off at 0
+            if self.symptom.of_peak_current:  # a current limit, which is off at 0
                 by = self.peak_current * (1.0 - amount)
             changed[name] = move.moved(name, base, by)
         return changed
 
     def natural(self, rng: np.random.Generator) -> float:
-        """An amount to be met in practice, evenly in its logarithm."""
+        """A realistic amount, uniform in its logarithm."""
         return float(np.exp(rng.uniform(*np.log(self.symptom.natural))))
 
 
@@ -153,7 +153,7 @@ def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start:
 # --- Which case hides what: kinds, effects, severities and signals dealt in balance.
 SINGLE, NONE, PAIR, OUTSIDE_KIND = "single", "none", "pair", "outside"
 ALL, PAPER = "all", "paper"
-# What a case shows besides the voltages.
+# Signals of a case in addition to the voltages.
 QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",),
               "without current": ("temperature", "deflection"),
               "without temperature": ("current", "deflection")}
@@ -161,9 +161,9 @@ QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection
 
 @dataclass(frozen=True)
 class Card:
-    """What one case is to be: its kind, effects of EFFECTS or OUTSIDE, the gap over noise to size
-    each for (None: as it comes), signals "all" or "paper" (voltages and deflection only), noise of
-    NOISE_MODELS; with `mild_kinetics` the transformation is a little smoother, and that is all."""
+    """The plan of one case: its kind, effects of EFFECTS or OUTSIDE, the gap over noise for which
+    each is sized (None: a natural amount), signals of QUANTITIES, noise of NOISE_MODELS; with
+    `mild_kinetics` the transformation is a little smoother than the model's."""
 
     kind: str
     effects: tuple[str, ...]
@@ -181,7 +181,7 @@ def deal(n: int, rng: np.random.Generator, load: str = "beam",
          shares: str = "shares") -> list[Card]:
     """n cards in random order, every share kept as nearly as n allows. Signals and noise models are
     dealt within each kind, so that neither reveals the kind."""
-    # Largest remainders; which kinds get the last cases is drawn where they are equal.
+    # Largest remainders; ties for the last cases are drawn.
     exact = {kind: share * n for kind, share in _DEALT[shares].items()}
     counts = {kind: int(value) for kind, value in exact.items()}
     order = sorted(exact, key=lambda kind: (counts[kind] - exact[kind], rng.random()))
@@ -201,7 +201,7 @@ def deal(n: int, rng: np.random.Generator, load: str = "beam",
 
 
 def _in_turns(names: Sequence, n: int, rng: np.random.Generator) -> list:
-    """n names, each as often as any other give or take one, shuffled round by round."""
+    """n names, all equally often to within one, shuffled in every round."""
     rounds = -(-n // len(names))
     dealt = [names[k] for _ in range(rounds) for k in rng.permutation(len(names))]
     return dealt[:n]
@@ -226,14 +226,14 @@ def _hidden(kind: str, n: int, rng: np.random.Generator,
 
 
 def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str) -> list[str]:
-    """Half of each kind shows all, those that show in no other way among them; others less."""
+    """Half of each kind shows all signals, among them effects that need them; the others fewer."""
     symptoms = {**EFFECTS, **OUTSIDE}
     less = "without current" if load == CLAMPED else PAPER
     free = [k for k, names in enumerate(hidden)
             if load == CLAMPED or all(symptoms[n].in_deflection for n in names)]
     if not free:
         return [ALL] * len(hidden)
-    # Every effect's own cases change sides in turn: systematic sampling along sorted names.
+    # Cases of each effect alternate: systematic sampling along sorted names.
     share = min(0.5 * len(hidden) / len(free), 1.0)
     order = sorted(free, key=lambda k: (hidden[k], rng.random()))
     steps = np.floor(share * np.arange(len(order) + 1) + rng.random())
@@ -241,20 +241,20 @@ def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str)
     return [less if k in paper else ALL for k in range(len(hidden))]
 
 
-# --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
+# --- A case: its card, and everything that is drawn independently of the card.
 SPLITS = {range(1000, 2000): "development", range(2000, 3000): "frozen-test",
           range(3000, 4000): "development"}
 OPEN = "open"
-# Seeds whose effects, and what every rig has, come in forms drawn for every case; whose sets of all
-# loads hold clamped wires, and whose forms suit the load; whose labels say where the inner loops of
-# spread grains show; whose labels take no zero for evidence, no bench for a straight line, and
-# every form of a rival for a rival; whose benches are not quite the same in the second record.
+# Seeds from 2700 on: effects, and what every rig has, come in forms, drawn for every case; 2800:
+# sets of all loads have clamped wires, and forms suit the load; 2900: labels say where the inner
+# loops of spread grains show; 2950: labels refit zeros, do not linearise benches, and have rivals
+# in every form; 2960: benches are in a slightly different state in the second record.
 IN_FORMS, WITH_CLAMPED, WITH_LOOPS, WITH_REFITS, WITH_STATES = (
     range(first, 4000) for first in (2700, 2800, 2900, 2950, 2960))
-# Of the kinds from seed 2700 on: the benches that are asked about.
+# Shares of the kinds of cases from seed 2700 on.
 FROZEN_SHARES: dict[str, float] = _DEALT["shares_of_forms"]
-# Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
-# depends on how much another one drew.
+# Purposes of a case's random numbers; each has a stream of its own, so that draws for one do not
+# depend on those for another.
 _STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS, "forms",
             "states")
 DECK = 2**31 - 1
@@ -263,31 +263,27 @@ NUISANCE_LIMIT = 0.3  # gap over noise that all nuisances together stay below
 
 @dataclass(frozen=True, kw_only=True)
 class Case(Stage):
-    """One case before anything is simulated: the rig with its drives and instruments, what it
-    hides, what its owners believe, where they are mistaken (in stated standard deviations),
-    features that every rig has a little of, wanted gaps of those and of mild kinetics, the bags:
-    storage, namespace, starts [ns since the epoch]; the forms that effects, and what every rig has,
-    take here, and features that these have whatever is hidden; true numbers of the second record's
-    run that differ from the first one's."""
+    """One case before anything is simulated; rig, drives and instruments are those of `Stage`."""
 
     seed: int
     index: int
     name: str
-    card: Card
-    nominal: Parameters
-    wrong: Mapping[str, float]
-    nuisances: Mapping[str, float]
-    nuisance_gap: float
-    mild_gap: float
-    storage: str
+    card: Card  # what it hides
+    nominal: Parameters  # as stated by the owners
+    wrong: Mapping[str, float]  # errors of wrong parameters, in stated standard deviations
+    nuisances: Mapping[str, float]  # features that every rig has a little of, before scaling
+    nuisance_gap: float  # wanted gap over noise of these
+    mild_gap: float  # wanted gap over noise of mild kinetics
+    storage: str  # of the bags
     namespace: str
-    starts: Mapping[str, int]
-    forms: Mapping[str, str] = field(default_factory=dict)
-    fixed: Mapping[str, float] = field(default_factory=dict)
+    starts: Mapping[str, int]  # ns since the epoch, by record
+    forms: Mapping[str, str] = field(default_factory=dict)  # of effects, and of what every rig has
+    fixed: Mapping[str, float] = field(default_factory=dict)  # features by forms of the latter
+    # true numbers that are different in the run of the second record
     second_run: Mapping[str, float] = field(default_factory=dict)
 
     def signals(self, features: Mapping[str, float], record: str) -> list[Signal]:
-        """What the instruments record, the bench in the state of that record's run."""
+        """Recorded signals, with the bench in the state of that record's run."""
         is_other = self.second_run and record != RECORDS[0]
         now = self.truth.replace(dict(self.second_run)) if is_other else None
         outcome = self.play(features, record, parameters=now)
@@ -322,7 +318,7 @@ def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
 
 
 def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") -> Case:
-    """One case; its card decides about the noise model and the owners' mistakes, no more."""
+    """One case; only its noise model and the owners' mistakes depend on its card."""
     stream = partial(_stream, seed, index)
     truth = rigs.draw_truth(stream("rig"), load)
     beliefs, little, bag = map(stream, ("beliefs", "nuisances", "bag"))
@@ -335,7 +331,7 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         forms, fixed = _draw_forms(own, load if seed in WITH_CLAMPED else "")
         nuisances |= {n: float(own.uniform(*ends)) for n, ends in _DEALT["further"].items()}
         mild = bool(own.random() < _DEALT["other_law_share"])
-        card = replace(card, mild_kinetics=mild and load != CLAMPED)  # which does not show it
+        card = replace(card, mild_kinetics=mild and load != CLAMPED)  # where it does not show
     state = stream("states")
     away = state.standard_normal(len(_DEALT["states"]))
     second_run = {
@@ -367,9 +363,9 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
 
 
 def _draw_forms(rng: np.random.Generator, load: str) -> tuple[dict[str, str], dict[str, float]]:
-    """A form of every effect and of what every rig has, by name, and the features that go with the
-    latter; a rig's little of an effect has the form that the effect has. Under a load that cannot
-    tell a form from the first one it is that one; every load can, where none is named."""
+    """A form of every effect and of what every rig has, by name, and the features of the latter; a
+    small share of an effect that every rig has is in the form of the effect. Forms that do not
+    differ from the first one under the `load` (if named) are replaced by the first."""
     forms = {name: str(rng.choice(list(symptom.forms))) for name, symptom in EFFECTS.items()}
     for name, form in forms.items() if load else ():
         if load not in EFFECTS[name].forms[form].loads:

@@ -12,7 +12,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.results import write_result
 
-# What --help does without is loaded where it is needed: the cases bring numba and scipy along.
+# Modules that --help does not need are imported in the commands: cases import numba and scipy.
 
 DIAGNOSE = (sys.executable, "-m", "sma_bench.cli", "diagnose")
 LOADS = ("beam", "clamped", "force", "spring", "antagonist", "all")
@@ -20,13 +20,13 @@ LOADS = ("beam", "clamped", "force", "spring", "antagonist", "all")
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one sub-command; 0 on success, 2 on bad input with one line on standard error."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill tidies up, too
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # SIGTERM cleans up, too
     try:
         blind.main(argv, "./bench blind", standalone_mode=False)
         return 0
     except (InputError, OSError, click.ClickException) as error:
-        said = error.format_message() if isinstance(error, click.ClickException) else str(error)
-        print(f"bench blind: {' '.join(said.split())}", file=sys.stderr)
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        print(f"bench blind: {' '.join(text.split())}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, click.Abort):
         print("bench blind: interrupted", file=sys.stderr)
@@ -38,7 +38,7 @@ def blind() -> None:
     pass
 
 
-@blind.command("make", help="Bags with effects that only a sealed file names.")
+@blind.command("make", help="Make bags with hidden effects, which only a sealed file names.")
 @click.option("--seed", type=int, required=True, help="1000 to 1999, 3000 to 3999: development, "
               "2000 to 2999: frozen test, others: open")
 @click.option("--n", default=200, show_default=True, help="cases")
@@ -53,12 +53,13 @@ def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
     print(f"labels sealed, sha256 {manifest['sha256']}")
 
 
-@blind.command("run", help="Put every case to the diagnosis.")
+@blind.command("run", help="Run the diagnosis on every case.")
 @click.argument("folder", metavar="DIR")
-@click.option("--answers", metavar="DIR", help="folder for them (default: DIR/answers/diagnosis)")
+@click.option("--answers", metavar="DIR",
+              help="folder for the answers (default: DIR/answers/diagnosis)")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="cases at a time")
 @click.option("--time-limit", type=click.FloatRange(0.0, min_open=True), default=120.0,
-              help="s for a case (half as long more a further record)")
+              help="s for a case, plus half of that for each further record")
 def run_cases(folder: str, answers: str | None, jobs: int, time_limit: float) -> None:
     from examination.blind.case_files import Examination, read_case_set, write_examination
     from examination.blind.examination import Examinee, examine, open_cases
@@ -71,14 +72,14 @@ def run_cases(folder: str, answers: str | None, jobs: int, time_limit: float) ->
     print(f"{place}: {len(cases.names)} cases, {len(waiting)} asked, {failed} failed, {left} open")
 
 
-@blind.command("score", help="Open the labels, once all are answered, and print every measure.")
+@blind.command("score", help="Open the labels once all cases are answered; print all measures.")
 @click.argument("folder", metavar="DIR")
 @click.option("--answers", metavar="DIR", multiple=True,
-              help="folder of answers (repeatable; default: all that lie in DIR/answers)")
+              help="folder of answers (repeatable; default: all in DIR/answers)")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="follow-ups at a time")
-@click.option("--no-follow-up", is_flag=True, help="do not perform what answers ask for")
-@click.option("--ties-only", is_flag=True, help="perform what ambiguous answers ask for, no more")
-@click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
+@click.option("--no-follow-up", is_flag=True, help="do not perform the suggested experiments")
+@click.option("--ties-only", is_flag=True, help="perform only those that ambiguous answers suggest")
+@click.option("--markdown", metavar="FILE", help="write the result as a page")
 @click.option("--json", "result", metavar="FILE", help="write the result to FILE")
 @click.option("--force", is_flag=True, help="replace outputs that exist")
 def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool,
@@ -111,19 +112,20 @@ def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: 
         write_text_atomically(path, text)
 
 
-@blind.command("features", help="Search development cases once each and keep what decides.")
+@blind.command("features", help="Search development cases; store the inputs of the decision.")
 @click.option("--seed", type=click.IntRange(3000, 3999), default=3000, show_default=True)
 @click.option("--n", type=click.IntRange(1), default=800, show_default=True, help="cases")
-@click.option("--out", required=True, metavar="FILE", help="a line a case; goes on where it ended")
+@click.option("--out", required=True, metavar="FILE",
+              help="a line for each case; an existing file is continued")
 def keep_features(seed: int, n: int, out: str) -> None:
     from examination.blind.learn import keep_features
     keep_features(Path(out), seed, n)
 
 
-@blind.command("learn", help="Weights of the decision from stored features, cross-validated.")
+@blind.command("learn", help="Fit the weights of the decision to stored features, cross-validated.")
 @click.argument("features", metavar="[FILE...]", nargs=-1)
 @click.option("--out", metavar="FILE", help="write the table of weights")
-@click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
+@click.option("--markdown", metavar="FILE", help="write the result as a page")
 def learn_weights(features: tuple[str, ...], out: str | None, markdown: str | None) -> None:
     from examination.blind.learn import STORED, learn
     paths = [Path(path) for path in features] or [STORED]

@@ -1,4 +1,4 @@
-"""One case put to one program: a process of its own that sees the records and nothing else."""
+"""Runs a program on a case, in a process of its own that sees nothing but the records."""
 
 import json
 import os
@@ -39,7 +39,7 @@ _LOOK_EVERY = 0.02  # s
 @dataclass(frozen=True)
 class Examinee:
     """A program that takes the arguments of `sma-bench diagnose`; a case fails after `time_limit` s
-    (half as long more a further record), or once it is `stopped`."""
+    (plus half of that for each further record), or once it is `stopped`."""
 
     program: tuple[str, ...]
     time_limit: float
@@ -47,10 +47,9 @@ class Examinee:
 
     def ask(self, case: Path, place: Path, experiments: Sequence[Path] = (),
             nominal: Path | None = None) -> str:
-        """Put a case, the records of further experiments and what the owners believe by now to the
-        program, in a folder of its own that holds copies and nothing else, and keep its answer in
-        `place`; why it failed, or "". Whatever the program does is a failed answer; one that cannot
-        be started raises OSError."""
+        """Run the program on a case, with records of further experiments and parameters as stated
+        by now, in a folder that contains only copies, and keep its answer in `place`. Returns why
+        it failed, or "". Any fault of the program is a failed answer; OSError: it cannot start."""
         with tempfile.TemporaryDirectory(prefix="bench_") as folder:
             desk = Path(folder)
             bags = {f"{EXPERIMENT}_{k}": bag for k, bag in enumerate(experiments, 1)}
@@ -91,7 +90,7 @@ class Examinee:
         environment = {k: v for k, v in os.environ.items() if k not in ("OLDPWD", "_")}
         environment |= dict.fromkeys(_ONE_THREAD, "1")
         environment |= {"PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
-        limit = self.time_limit * (1 + len(records)) / 2.0  # half of it goes with the records
+        limit = self.time_limit * (1 + len(records)) / 2.0  # half of it per record
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
             process = subprocess.Popen(command, cwd=desk, env=environment, text=True,
                                        start_new_session=True, stdin=subprocess.DEVNULL,
@@ -99,33 +98,33 @@ class Examinee:
             end = time.monotonic() + limit
             while process.poll() is None:
                 if time.monotonic() > end or self.stopped.is_set():
-                    with suppress(ProcessLookupError):  # it leads a session: all that it started
+                    with suppress(ProcessLookupError):  # its session: all that it started
                         os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
                     raise InputError(f"no answer within {limit:g} s")
                 time.sleep(_LOOK_EVERY)
             errors.seek(0)
-            said = [text.strip() for text in errors if text.strip()]
+            lines = [text.strip() for text in errors if text.strip()]
         if process.returncode:
-            last = said[-1] if said else "nothing said"
+            last = lines[-1] if lines else "no message"
             raise InputError(f"exit code {process.returncode}: {last}"[:300])
 
 
-# --- Every case of a set put to one program; what is answered stays answered.
+# --- Run a program on every case of a set; existing answers are kept.
 def open_cases(cases: Sequence[str], answers: Path) -> list[str]:
     return sorted(case for case in cases if not files.is_kept(answers, case))
 
 
 def examine(examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path,
             jobs: int = 1) -> int:
-    """Put `cases` below `folder` to a program; how many failed."""
+    """Run a program on `cases` below `folder`; returns how many failed."""
     place = folder.absolute()
     ask = {case: partial(examinee.ask, place / case, answers / case) for case in cases}
     return ask_all(examinee, ask, jobs)
 
 
 def ask_all(examinee: Examinee, ask: Mapping[str, Callable[[], str]], jobs: int) -> int:
-    """Do every call of `ask`, `jobs` at a time; how many failed. Interrupted, it ends what runs."""
+    """Do all calls of `ask`, `jobs` at a time; returns how many failed. An interrupt ends all."""
     failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         running = {pool.submit(call): name for name, call in ask.items()}
@@ -141,21 +140,21 @@ def ask_all(examinee: Examinee, ask: Mapping[str, Callable[[], str]], jobs: int)
     return failed
 
 
-# --- What an answer asks for, done, and the diagnosis asked again: at most three times.
+# --- Follow-up: perform the experiment that an answer suggests and ask again, at most three times.
 #
-# The lab runs the suggested protocol on the case's own bench, records it with the same instruments
-# (and with one more where that is what was asked for), and hands all records over together. A test
-# of the paper is not played: its instrument reads what the hidden wire has, off by a draw of the
-# standard deviation that the answer has stated for it.
+# The suggested protocol is simulated on the case's own bench and recorded with the same instruments
+# (and additional ones if the answer asks for them); then all records are diagnosed together. A test
+# of the paper is not simulated: it gives the value of the hidden wire, off by a draw of the
+# standard deviation that the answer states for the test.
 LONGEST = 1000.0
 _START_NS, _HOUR_NS = 1_750_000_000 * 10**9, 3600 * 10**9
-_STREAM = 1_000_003  # apart from the streams that the cases are made of
+_STREAM = 1_000_003  # of random numbers, apart from those of the cases
 
 
 def follow_up(cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee,
               answers: Path, jobs: int = 1, ties_only: bool = False) -> None:
-    """Do what the examinee's answers ask for, of all or of the ambiguous ones, and keep each one
-    after it in `answers`/after_1 to after_3; what has been answered stays."""
+    """Perform the experiments that answers suggest, all or only the ambiguous ones, and keep the
+    answers afterwards in `answers`/after_1 to after_3; existing ones stay."""
     for number, name in enumerate(files.FOLLOW_UPS):
         ask = {}
         for case in cases.names:
@@ -172,25 +171,25 @@ def follow_up(cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], exa
 
 def _do_and_ask(case: Path, place: Path, seed: int, label: Mapping[str, Any],
                 history: Sequence[files.Kept], examinee: Examinee) -> str:
-    """As the experiment node would run what is suggested, within the bench's limits."""
+    """Perform the suggestions as the experiment node would, within the bench's limits."""
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         bags: list[Path] = []
         try:
-            believed = read_parameters(case / NOMINAL)
+            stated = read_parameters(case / NOMINAL)
             for number, kept in enumerate(history):
                 assert kept.answer is not None and kept.answer.next_experiment is not None
                 key = (_STREAM, int(case.name), *([number] if number else []))
                 random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
                 asked = kept.answer.next_experiment
                 if asked.parameters:
-                    believed = after_tests(label, asked, believed, random)
+                    stated = after_tests(label, asked, stated, random)
                     continue
                 bags.append(Path(folder) / f"{EXPERIMENT}_{number}")
-                protocol = parse_protocol(dict(asked.protocol), believed, "next_experiment")
+                protocol = parse_protocol(dict(asked.protocol), stated, "next_experiment")
                 if protocol.duration > LONGEST:
                     raise InputError(f"next_experiment: lasts {protocol.duration:g} s, expected "
                                      f"at most {LONGEST:g} s")
-                # Recorded on the case's own bench, with quantities that are measured more.
+                # Recorded on the case's own bench, with the additional quantities.
                 stage, (grid, voltage) = Stage.from_label(label), protocol.sample(COMMAND_PERIOD)
                 world = world_of(stage.truth, label["features"])
                 wanted = {*QUANTITIES[label["signals"]], *asked.quantities}
@@ -202,23 +201,23 @@ def _do_and_ask(case: Path, place: Path, seed: int, label: Mapping[str, Any],
             files.keep(place.parent, place.name, None, str(error), 0.0)
             return str(error)
         nominal = Path(folder) / NOMINAL
-        write_parameters(nominal, believed, names=sorted(believed.given))
+        write_parameters(nominal, stated, names=sorted(stated.given))
         return examinee.ask(case, place, bags, nominal)
 
 
-def after_tests(label: Mapping[str, Any], asked: files.NextExperiment, believed: Parameters,
+def after_tests(label: Mapping[str, Any], asked: files.NextExperiment, stated: Parameters,
                 rng: np.random.Generator) -> Parameters:
-    """What is believed after a test of parameters; raises InputError for one that no test gives."""
+    """Stated parameters after a test; raises InputError for one that no test measures."""
     stds, truth = asked.parameters, label["truth"]
     values, world = {}, world_of(Stage.from_label(label).truth, label["features"])
     for name, std in stds.items():
         if name not in truth:
             raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
-        # What an instrument finds in the hidden wire, with what its world does to it.
+        # The true value in the hidden world, with the error of the instrument.
         hidden, kind = float(truth[name]), name.removeprefix("wire.stress_influence_")
         if kind != name:
             hidden /= max(world.feature(f"stress_influence_factor_{kind}"), 0.05)
         values[name] = float(hidden + std * rng.standard_normal())
         if name == FRONT:
             values[BACK] = values[name]
-    return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
+    return stated.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})

@@ -1,5 +1,5 @@
-"""Cases judged: what a label holds to be true, whether an answer said so, and every measure of the
-withheld-effect check: a number with its interval over cases."""
+"""Judges answers: what is right for a case, whether an answer has it, and every measure of the
+withheld-effect check, a number with its interval over cases."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -19,25 +19,27 @@ from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
 
-SET_MASS, CONFIDENT, MOVED = 0.9, 0.8, 2.0
-WORTH_NAMING = 1.0  # gap over noise, of seeds that have forms: of less that there is none is right
-SEEN_FROM = 3.0  # standard deviations beyond other parameters, of less likewise
+SET_MASS = 0.9  # probability of a credible set
+CONFIDENT = 0.8  # probability of a candidate
+MOVED = 2.0  # stated standard deviations
+WORTH_NAMING = 1.0  # gap over noise: of a smaller effect no_gap is right, too (seeds with forms)
+SEEN_FROM = 3.0  # standard deviations from the best fit of the parameters alone: likewise
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
 _SILENCE = files.Answer("", (), (), None, {}, None)
-# What is right to say of a case without an effect of the library. Where nothing is wrong, the
-# parameters still differ from the truth by their uncertainty, and saying that is no error.
+# Right answers for cases without an effect of the library. Where nothing is wrong, the stated
+# parameters still differ from the true ones by their uncertainty, so recalibration is right, too.
 _RIGHT_NAMES = {"none": _BENIGN, "recalibration": frozenset((RECALIBRATION,)),
                 "outside": frozenset((UNEXPLAINED,))}
 
 
 def unseen(beyond_parameters: float | None) -> bool:
-    """Whether other parameters do what is hidden."""
+    """True if other parameters would explain what is hidden."""
     return beyond_parameters is not None and beyond_parameters < SEEN_FROM
 
 
 @dataclass(frozen=True)
 class Label:
-    """What answers are judged by of a sealed label (make.py)."""
+    """The fields of a sealed label (make.py) by which answers are judged."""
 
     id: str
     kind: str
@@ -58,21 +60,21 @@ class Label:
 
     @property
     def main(self) -> frozenset[str]:
-        """What was hidden that does most, or what is right where nothing was."""
+        """The hidden effect with the largest gap, or the right answers if none was hidden."""
         if not self.effects or self.kind in _RIGHT_NAMES:
             return self.names
         return frozenset([max(self.effects, key=lambda name: self.severities.get(name, 0.0))])
 
     @property
     def hidden(self) -> frozenset[str]:
-        """What was hidden on purpose, or is right to say where nothing was."""
+        """The hidden effects, or the right answers if none of the library was hidden."""
         return _RIGHT_NAMES.get(self.kind, frozenset(self.effects))
 
     @property
     def names(self) -> frozenset[str]:
-        """All that is right to say: another law too, where it shows beside what was hidden, and the
-        inner loops of grains that are spread; that there is no gap, where there is next to none, or
-        none that other parameters leave."""
+        """All right answers: also another law, or inner loops of spread grains, where they show
+        beside what was hidden; also no_gap and recalibration, where the gap is small, or other
+        parameters would explain it."""
         law = {"transformation_law"} if self.transformation_law else set()
         law |= {"partial_transformation"} if self.inner_loops else set()
         small = self.severity < WORTH_NAMING or unseen(self.beyond_parameters)
@@ -81,7 +83,7 @@ class Label:
 
 @dataclass(frozen=True)
 class Shrunk:
-    """Noise-free gap of one signal on a protocol that nobody saw, `before` with the lab's and
+    """Noise-free gap of one signal on an unseen protocol, `before` with the lab's and
     `after` with the improved parameters (root mean square), and the sensor's noise, in its unit."""
 
     before: float
@@ -119,41 +121,42 @@ class Judged:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        said, label, right = self.answer or _SILENCE, self.label, self.label.names
-        verdict, first = said.verdict, self.first_choice
+        answer, label, right = self.answer or _SILENCE, self.label, self.label.names
+        verdict, first = answer.verdict, self.first_choice
         chosen = first.parts if first else frozenset[str]()
         belief = first.probability if first else 0.0
-        sure = [c.parts for c in said.candidates if c.probability >= CONFIDENT]
-        if label.forms and first:  # what is said of each effect counts, alone or with others
-            whole = files.by_effect(said.candidates)
+        sure = [c.parts for c in answer.candidates if c.probability >= CONFIDENT]
+        if label.forms and first:  # sum over all candidates with an effect
+            whole = files.by_effect(answer.candidates)
             chosen, belief = max(whole.items(), key=lambda item: item[1])
             sure = [names for names, p in whole.items() if p >= CONFIDENT]
-        # What the answer says; of one that says nothing, the fewest candidates, the most probable
-        # first, that make 90 %.
+        # The answer's own credible set; without one, the fewest candidates that make 90 %, the most
+        # probable first.
         total, credible = 0.0, []
-        for candidate in said.candidates:
-            if candidate.name in said.credible or (not said.credible and total < SET_MASS - 1e-9):
+        for candidate in answer.candidates:
+            is_missing = not answer.credible and total < SET_MASS - 1e-9
+            if candidate.name in answer.credible or is_missing:
                 credible.append(candidate.parts)
             total += candidate.probability
         in_set = frozenset[str]().union(*credible)
         right_ones = [parts for parts in credible if parts <= right]
         holds_truth, size = bool(right_ones), len(credible)
-        if label.forms:  # an explanation that holds the main effect does, whatever it adds
+        if label.forms:  # so does a candidate with the main effect and others
             holds_truth = any(parts & label.main for parts in credible)
             size = len(in_set)
         elif label.kind == "pair":
             holds_truth = label.hidden <= frozenset[str]().union(*right_ones)
-        # What the first choice and the verdict come to.
+        # First choice and verdict against the label.
         first_right = first is not None and bool(chosen <= right or chosen & right & _BENIGN)
         stages = {STAGE_OF[name] for name in right if name in STAGE_OF}
         gap, alarms = verdict not in ("", NO_GAP), verdict in ("", "effect", UNEXPLAINED)
-        if verdict == "effect" and label.kind == "none":  # what its kinetics show is there
-            alarms = not right.issuperset(said.cause)
+        if verdict == "effect" and label.kind == "none":  # causes that its kinetics show are right
+            alarms = not right.issuperset(answer.cause)
         if verdict == "ambiguous":
             gap, alarms = NO_GAP not in in_set, in_set.isdisjoint(_BENIGN)
         abstains = verdict in ("ambiguous", UNEXPLAINED)
-        sure += [frozenset(said.cause)] if said.cause else []
-        named, settled = frozenset(said.cause) or (first.parts if first else chosen), None
+        sure += [frozenset(answer.cause)] if answer.cause else []
+        named, settled = frozenset(answer.cause) or (first.parts if first else chosen), None
         if self.followed:
             last = Judged(label, self.second).facts["first_choice_right"]
             settled = last and (self.second or _SILENCE).verdict != "ambiguous"
@@ -163,7 +166,7 @@ class Judged:
             "abstains_or_flags": abstains or UNEXPLAINED in in_set,
             "set_size": float(size) if self.answer else None,
             "set_holds_truth": holds_truth,
-            "truth_probability": sum(c.probability for c in said.candidates if c.parts <= right),
+            "truth_probability": sum(c.probability for c in answer.candidates if c.parts <= right),
             "first_choice_right": first_right,
             "named_and_right": verdict == "effect" and first_right,
             "family_right": first_right or any(STAGE_OF.get(part) in stages for part in chosen),
@@ -174,9 +177,9 @@ class Judged:
             "stated": (belief, first_right) if first else None,
             "error_before": self.error_before, "error_after": self.error_after,
             "seconds": self.seconds}
-        # Where the gap is, if the label has a place: signals are the same when their quantity is,
-        # front_1.temperature and temperature. The stage is that of the effect that does most, or of
-        # any wrong parameter.
+        # Place of the gap, if the label has one. Signals agree if their quantities do, such as
+        # front_1.temperature and temperature. The stage is that of the effect with the largest gap,
+        # or of any wrong parameter.
         most = max(label.severities.values(), default=0.0)
         pairs = zip(label.effects, label.stages, strict=False)
         own = {stage for name, stage in pairs if label.severities.get(name) == most}
@@ -185,25 +188,25 @@ class Judged:
         for key in ("signal", "phase", "side", "stage"):
             facts[f"place_right {key}"] = None
             if label.where:
-                place = getattr(said.where, key, None)
+                place = getattr(answer.where, key, None)
                 wanted = own if key == "stage" and own else {quantity_of(label.where[key])}
                 facts[f"place_right {key}"] = place is not None and quantity_of(place) in wanted
-        # Of the claimed and the true fraction of one signal: the deflection where it has a gap
+        # Claimed and true shrinkage of one signal: the deflection where it has a gap
         # above the noise, else the signal with the largest.
-        usable = {name: claim.fraction for name, claim in said.shrinkage.items()
+        usable = {name: claim.fraction for name, claim in answer.shrinkage.items()
                   if claim.fraction is not None and name in self.shrunk
                   and math.isfinite(self.shrunk[name].fraction)}
         if usable:
             largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
             name = "deflection" if "deflection" in usable else largest
             claimed, true = usable[name], self.shrunk[name].fraction
-            low, high = said.shrinkage[name].ci90
+            low, high = answer.shrinkage[name].ci90
             facts |= {"claim error": abs(claimed - true), "claim excess": claimed - true,
                       "claim true": true, "claim covers": low <= true <= high}
         return facts
 
 
-# --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
+# --- True shrinkage of a gap: in the case's own world, without noise, on an unseen drive.
 UNSEEN, _DURATION, _CORNERS = "unseen", 110.0, 17
 # Starts and lengths in s of smooth hills, back and front by turns, and their heights as a share of
 # the highest voltage of the case's records: two that transform fully and two that may not.
@@ -211,7 +214,7 @@ _HILLS = ((5.0, 20.0, 1.0), (31.0, 18.0, 0.98), (56.0, 16.0, 0.9), (79.0, 22.0, 
 
 
 def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", "front")) -> Drive:
-    """Raised cosines that reach as high as a case's own records; no family of theirs."""
+    """Raised cosines up to the highest voltage of a case's records, which have other shapes."""
     highest = max(max(pulse.volts) for drive in drives.values() for pulse in drive.pulses)
     phase = np.linspace(0.0, 1.0, _CORNERS)
     shape = np.sqrt((1.0 - np.cos(2.0 * np.pi * phase)) / 2.0)
@@ -222,7 +225,7 @@ def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", 
 
 
 class UnseenRecord:
-    """What a sealed label's world does on the unseen drive, as perfect instruments read it."""
+    """The world of a sealed label on the unseen drive, read by perfect instruments."""
 
     def __init__(self, label: Mapping[str, Any]) -> None:
         seen = Stage.from_label(label)
@@ -233,7 +236,7 @@ class UnseenRecord:
         self.readings = self.stage.read(label["features"], UNSEEN)
 
     def gaps(self, parameters: Parameters) -> dict[str, float]:
-        """Root mean square of measured less simulated, of every signal and every quantity."""
+        """Root mean square of measured minus simulated, for every signal and every quantity."""
         found = simulate(parameters, self.time, self.voltage)
         simulated = self.stage.named({"current": found.current,
                                       "temperature": found.temperature_reading,
@@ -297,8 +300,8 @@ def mean(values: Sequence[float]) -> Measured:
 
 
 def quantile(values: Sequence[float], level: float) -> Measured:
-    """Quantile with the interval between two order statistics, free of any distribution; infinite
-    where the values are too few for a bound."""
+    """Quantile with its distribution-free interval between two order statistics; infinite where the
+    values are too few for a bound."""
     if not values:
         return Measured()
     value = float(np.quantile(values, level))
@@ -343,7 +346,7 @@ _STATISTICS: dict[str, Callable[[list], Measured]] = {
 
 @dataclass(frozen=True)
 class Measure:
-    """What measures.yaml says of it; inside a band, floor and aim are (low, high)."""
+    """An entry of measures.yaml; for one better inside a band, floor and aim are (low, high)."""
 
     name: str
     what: tuple[str, ...]
@@ -380,7 +383,7 @@ class Measure:
         return "missed"
 
 
-# Those with a floor and an aim, those that are reported besides, and those of groups.
+# Measures with a floor and an aim, further ones, and those of each group of cases.
 _DOCUMENT = yaml.safe_load(Path(__file__).with_name("measures.yaml").read_text("utf-8"))
 TARGETS, OTHERS, OF_GROUPS = (
     tuple(Measure(name, **{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})

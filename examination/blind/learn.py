@@ -1,8 +1,9 @@
-"""The decision's weights from stored features: likeliest, cross-validated, with errors.
+"""Fits the weights of the decision to stored features, by cross-validated maximum likelihood.
 
-A ridge whose strength cross-validation chooses keeps weights that the cases do not tell near 0.
-Forms are left out in turn (of every effect its first form, its second, its third), and rigs, every
-case having its own. What the package answered when the features were stored stands next to it."""
+A ridge, whose strength cross-validation chooses, keeps weights near 0 that the cases do not
+determine. Folds are forms (the first form of every effect, the second, the third), or groups of
+rigs, of which every case has its own. The package's answers when the features were stored are shown
+for comparison."""
 
 import gzip
 import hashlib
@@ -40,29 +41,31 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.records import Record
 from sma_bench.records.mend import mended
 
-# --- Development cases searched once each: what the decision looks at, with the label.
+# --- Features: every development case is searched once; the inputs of the decision are stored.
 #
-# Cases cover all loads, one or two records and missing signals; a third of the owners state half of
-# their numbers only. Half of the benches without an effect are plain: their equations are the
-# baseline's, and of those where nothing is wrong half have the very numbers that are stated. Labels
-# say what can be told from the records that are searched, with the numbers that are stated. What is
-# found is kept under a hash of the library, one line a case.
+# Cases cover all loads, one or two records and missing signals; a third of the owners state only
+# half of their numbers. Half of the benches without an effect are plain: their equations are the
+# baseline's, and half of those with nothing wrong have exactly the stated numbers. Labels hold for
+# the records that are searched and the numbers that are stated. Each case is a line, with a hash of
+# the library.
 PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
-# Those that the package's weights are learnt from, packed.
+# Features from which the package's weights are learnt, compressed.
 STORED = Path(__file__).with_name("features.jsonl.gz")
-# What the numbers of a search depend on; the decision is fitted to them.
+# Code and tables on which the results of a search depend; the decision is fitted to these results.
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
 _TABLES = ("parameters/effects.yaml", "estimation/priors.yaml", "diagnose/starts.yaml")
 _NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py")
 _LOADS = ("beam", "clamped", "force", "beam", "spring", "beam", "antagonist")  # in turn
-_UNSTATED, _LESS_SIGNALS = 1 / 3, 0.35  # of the owners; of the benches that read all
-_PLAIN, _AS_STATED = 0.5, 0.5  # of the benches without an effect; of plain ones with nothing wrong
+_UNSTATED = 1 / 3  # of the owners state only half of their numbers
+_LESS_SIGNALS = 0.35  # of the benches that read all signals lose one
+_PLAIN = 0.5  # of the benches without an effect
+_AS_STATED = 0.5  # of the plain ones with nothing wrong
 _STATED_ALWAYS = ("bench.", "load.", "composite.", "wire.diameter", "wire.length", "wire.count")
-_STREAM = 2_000_003  # apart from those that cases are made of
+_STREAM = 2_000_003  # of random numbers, apart from those of the cases
 
 
 def library_hash() -> str:
-    """Of all that a search depends on."""
+    """Hash of all code and tables that a search depends on."""
     paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
     paths += [PACKAGE / name for name in _TABLES]
     whole = b"".join(path.read_bytes() for path in paths if path.name not in _NOT_ITS)
@@ -70,8 +73,8 @@ def library_hash() -> str:
 
 
 def keep_features(out: Path, seed: int, n: int) -> None:
-    """Add the cases to `out` that it does not hold yet, one by one: each a line of JSON. Raises
-    InputError where the file is of another library, or of other cases."""
+    """Append the cases that `out` does not have yet, each as a line of JSON. Raises InputError if
+    the file is of another library, or of other cases."""
     library = library_hash()
     lines = [json.loads(line) for line in out.read_text().splitlines()] if out.is_file() else []
     for line in lines:
@@ -84,12 +87,12 @@ def keep_features(out: Path, seed: int, n: int) -> None:
         found |= features_of(seed, n, index)
         with out.open("a") as file:
             file.write(json.dumps(found, separators=(",", ":")) + "\n")
-        said = "+".join(found["label"]["effects"]) or found["label"]["kind"]
-        print(f"{index + 1}/{n} {time.monotonic() - begun:.0f} s: {said}", flush=True)
+        hidden = "+".join(found["label"]["effects"]) or found["label"]["kind"]
+        print(f"{index + 1}/{n} {time.monotonic() - begun:.0f} s: {hidden}", flush=True)
 
 
 def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
-    """Label, facts and today's probabilities of one case."""
+    """Label, inputs of the decision and its present probabilities for one case."""
     load = _LOADS[index % len(_LOADS)]
     deck = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(cases.DECK,)))
     card = cases.deal(n, deck, load)[index]
@@ -108,7 +111,7 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     nominal = case.nominal
     if plain and card.kind == cases.NONE and own.random() < _AS_STATED:
         nominal = nominal.replace({n: case.truth[n] for n in nominal.given_uncertainty})
-    if own.random() < _UNSTATED:  # of the wire's half is from the table, as far off as wires differ
+    if own.random() < _UNSTATED:  # half of the wire's are the table's defaults, with their spread
         numbers = sorted(n for n in nominal.given if not n.startswith(_STATED_ALWAYS))
         dropped = set(own.permutation(numbers)[: len(numbers) // 2].tolist())
         stds = {n: s for n, s in nominal.given_uncertainty.items() if n not in dropped}
@@ -129,9 +132,10 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
             "records": len(names), "stated": len(nominal.given), "facts": asdict(inputs)}
 
 
-# --- Weights from what is stored.
-# Of the fit, which weighs cases less in which the records say nothing, and as stated: the smallest
-# that is as likely as any but for _AS_LIKELY.
+# --- Weights from stored features.
+# A lapse is the probability of an answer by chance. In the fit it gives less weight to cases whose
+# records show nothing; the one in stated probabilities is the smallest whose mean log probability
+# is within _AS_LIKELY of the best.
 RIDGES, LAPSES = (0.1, 0.3, 1.0, 3.0), (0.0, 0.1, 0.2)
 STATED, _AS_LIKELY = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2), 0.02
 FOLDS, _SEED = 6, 44
@@ -143,19 +147,19 @@ _BOUNDS = [((0.0, None), (None, None), (None, 0.0))[1 - sign] for sign in _SIDED
 
 
 class Known:
-    """One case: explanations and their features (c, k), which are right, today's probabilities."""
+    """One case: candidates with features (c, k), which are right, probabilities when stored."""
 
     def __init__(self, line: dict[str, Any]) -> None:
         self.label = line["label"]
         found = msgspec.convert(line["facts"], DecisionInputs)
         own = Utilities(found)
         self.names, self.x, self.fixed = own.names, own.features()[0], own.fixed
-        # A partner that does less than a tenth is a remark: the pair stands for its better half.
+        # A partner with less than a tenth of the gap is a remark: the pair counts as the other one.
         small = {pair: main for pair, (main, _) in found.remarks().items()}
         right = right_names(self.label, self.names, small)
         self.right = np.array([name in right for name in self.names])
         self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
-        # What is hidden does most, number of its form; rigs without an effect go by turns.
+        # Hidden effect with the largest gap, number of its form; cases without one take turns.
         severities = self.label["severities"]
         hidden = [n for n in self.label["effects"] if n in EFFECTS]
         self.main = max(hidden, key=lambda n: severities.get(n, 0.0), default="")
@@ -167,14 +171,14 @@ class Known:
 
 
 def right_names(label: dict[str, Any], names: Sequence[str], small: dict[str, str]) -> set[str]:
-    """Explanations that are right to put first; `small`: pairs that stand for their better half."""
+    """Candidates that are right as first choice; `small`: pairs that count as their main effect."""
     kind, effects = label["kind"], label["effects"]
-    # Grains that are spread have inner loops of their own, whatever is hidden.
+    # Spread grains have inner loops of their own, whatever is hidden.
     loops = {"partial_transformation"} if label["inner_loops"] else set[str]()
     if kind == "none":
         return {RECALIBRATION, NO_GAP} | loops
-    # What does less than the noise, or no more than other parameters do, is not worth a name: that
-    # there is no gap is right as well.
+    # An effect below the noise, or one that other parameters would explain, need not be named:
+    # no_gap and recalibration are right, too.
     if effects and (label["severity"] < WORTH_NAMING or unseen(label["beyond_parameters"])):
         shown = {**label, "severity": np.inf, "beyond_parameters": None}
         return {RECALIBRATION, NO_GAP} | right_names(shown, names, small)
@@ -182,7 +186,8 @@ def right_names(label: dict[str, Any], names: Sequence[str], small: dict[str, st
         return {RECALIBRATION}
     if kind == "outside":
         return {UNEXPLAINED}
-    # Of a pair one effect alone where the other does less than a tenth, or no fit has them both.
+    # Of a pair one effect alone is right if the other has less than a tenth of its gap, or if no
+    # fit has both.
     main = max(effects, key=lambda name: label["severities"].get(name, 0.0))
     whole = JOIN.join(sorted(effects))
     least = min(label["severities"].get(name, 0.0) for name in effects)
@@ -195,26 +200,26 @@ def right_names(label: dict[str, Any], names: Sequence[str], small: dict[str, st
 
 
 def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Array, Array]:
-    """The likeliest weights (k,) under a ridge, their covariance (k, k) by scores of cases."""
+    """Most likely weights (k,) with a ridge, and their covariance (k, k) by scores of cases."""
     edges, x = np.cumsum([0, *(len(case.names) for case in cases)]), np.vstack([c.x for c in cases])
-    # Root mean square of every feature where it is there.
+    # Root mean square of every feature where it is not 0.
     there = np.maximum(np.sum(x != 0.0, axis=0), 1)
     scale = np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
     x = x / scale
     fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
-    # How often nothing is wrong with a bench that is asked about is not known: the middle, on a
-    # logarithmic scale, between these cases and the frozen set.
+    # The share of benches with nothing wrong is unknown in practice: half way, on a logarithmic
+    # scale, between these cases and the frozen set.
     group, counts = np.repeat(np.arange(len(cases)), np.diff(edges)), np.sqrt(weights_of(cases))
     by_chance = lapse * np.add.reduceat(right.astype(float), edges[:-1]) / np.diff(edges)
 
     def scores(w: Array) -> tuple[Array, Array]:
-        """Probability of what is right, and the slopes of its log along the utilities."""
+        """Probability of the right candidates, and d of its log by the utilities."""
         u = x @ w + fixed
         e = np.exp(u - np.maximum.reduceat(u, edges[:-1])[group])
         p = e / np.add.reduceat(e, edges[:-1])[group]
-        told = np.add.reduceat(p * right, edges[:-1])
-        found = (1.0 - lapse) * told + by_chance
-        return found, (1.0 - lapse) * p * (right - told[group]) / found[group]
+        of_right = np.add.reduceat(p * right, edges[:-1])
+        found = (1.0 - lapse) * of_right + by_chance
+        return found, (1.0 - lapse) * p * (right - of_right[group]) / found[group]
 
     def loss(w: Array) -> tuple[float, Array]:
         found, slopes = scores(w)
@@ -229,14 +234,14 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
 
 
 def weights_of(cases: Sequence[Known]) -> Array:
-    """(n,) with which cases count as often as the frozen set deals their kind."""
+    """(n,) with which each kind of case counts as often as in the frozen set."""
     kinds, shares = [case.label["kind"] for case in cases], FROZEN_SHARES
     whole = sum(shares[kind] for kind in set(kinds))
     return np.array([shares[kind] / whole * len(cases) / kinds.count(kind) for kind in kinds])
 
 
 def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float) -> list[Array]:
-    """(c,) shares by weights that have not seen a case's fold."""
+    """(c,) probabilities of every case by weights that were fitted without its fold."""
     found: list[Array] = [np.zeros(0)] * len(cases)
     for fold in np.unique(folds):
         seen = [case for case, own in zip(cases, folds, strict=True) if own != fold]
@@ -247,23 +252,23 @@ def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float) -
 
 
 def lapsed(shares: Sequence[Array], lapse: float) -> list[Array]:
-    """(c,) probabilities of every case."""
+    """(c,) probabilities of every case, with this probability of an answer by chance."""
     return [(1.0 - lapse) * p + lapse / len(p) for p in shares]
 
 
 def log_probability(cases: Sequence[Known], answers: Sequence[Array]) -> Array:
-    """(n,) of what is right."""
+    """(n,) of the right candidates."""
     return np.array([np.log(max(float(p[case.right].sum()), _LEAST))
                      for case, p in zip(cases, answers, strict=True)])
 
 
 def holds(case: Known, k: int) -> bool:
-    """Whether an explanation holds the main effect, or is right otherwise."""
+    """True if candidate k contains the main effect, or is right otherwise."""
     return bool(case.right[k]) or case.main in case.names[k].split(JOIN)
 
 
-def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
-    """What is most probable (effect, benign, unexplained), how probable, effects in order."""
+def first_choice(case: Known, p: Array) -> tuple[str, float, list[str]]:
+    """First choice (an effect, benign, unexplained), its probability, effects in order."""
     found = by_effect([*map(Candidate, case.names, p.tolist())])
     whole = {BENIGN if NO_GAP in names else min(names): share for names, share in found.items()}
     ranked = sorted(whole, key=lambda name: -whole[name])
@@ -272,14 +277,14 @@ def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
 
 
 def truths(case: Known) -> set[str]:
-    """What is right to say first."""
+    """Right first choices."""
     right = msgspec.convert({"id": "", **case.label}, Label).names - {"transformation_law"}
     return {BENIGN if name in (RECALIBRATION, NO_GAP) else name for name in right}
 
 
 def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:
-    """All that is compared; sets reach the threshold that the other half of cases gives."""
-    found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
+    """All measures; credible sets use the threshold found on the other half of the cases."""
+    found = [first_choice(case, p) for case, p in zip(cases, answers, strict=True)]
     likely = np.array([share for _, share, _ in found])
     kinds = np.array([case.label["kind"] for case in cases])
     right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
@@ -288,7 +293,7 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
                      for (*_, ranked), c in zip(found, cases, strict=True)])
     plain = (kinds == "single") & np.array([bool(c.label["distinguishable"]) for c in cases])
     named, confident = effect & (likely >= NAMED), likely >= CONFIDENT
-    # Of the most probable explanation that holds the main effect, or is right.
+    # Probability of the best candidate that contains the main effect, or is right.
     truth = np.array([max((float(p[k]) for k in range(len(p)) if holds(c, k)), default=0.0)
                       for c, p in zip(cases, answers, strict=True)])
     halves, sizes, covered = np.arange(len(cases)) % 2, [], []
@@ -318,18 +323,18 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
 
 
 def conformal(truth: Array) -> float:
-    """Probability that the truth had at least in 90 % of the cases, one more counted as 0."""
+    """Probability that right candidates reach in 90 % of the cases and one more case with 0."""
     place = int(np.floor((1.0 - COVERAGE) * (len(truth) + 1))) - 1
     return float(np.sort(truth)[place]) if place >= 0 else 0.0
 
 
 def credible(p: Array, least: float) -> list[int]:
-    """Explanations of the set: the most probable one, and all of at least that probability."""
+    """Candidates of the set: the most probable one, and all of at least that probability."""
     return sorted({int(np.argmax(p)), *np.flatnonzero(p >= least).tolist()})
 
 
 def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """Lines of files of features, packed or not."""
+    """Lines of files of features, compressed or not."""
     contents = ((path, path.read_bytes()) for path in paths)
     texts = (gzip.decompress(held) if path.suffix == ".gz" else held for path, held in contents)
     return [json.loads(line) for text in texts for line in text.splitlines()]
@@ -341,7 +346,8 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     cases = [Known(line) for line in lines]
     counts, forms = weights_of(cases), np.array([case.form for case in cases])
     rigs = np.random.default_rng(_SEED).permutation(len(cases)) % FOLDS
-    # By ridge and lapse both ways to leave out; of each lapse as stated the log probability (n,).
+    # By ridge and lapse: probabilities with forms and with rigs left out; their log probability
+    # (n,) by stated lapse.
     left, each = {}, {}
     for ridge, lapse in product(RIDGES, LAPSES):
         both = left[ridge, lapse] = [left_out(cases, f, ridge, lapse) for f in (forms, rigs)]
@@ -350,12 +356,12 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
             for s in STATED}
 
     def likeliest(key: tuple[float, float]) -> tuple[float, Array]:
-        """The likeliest lapse as stated: the mean, and (n,) of the cases."""
+        """Log probability with the best stated lapse: mean, and (n,) of the cases."""
         return max(((float(np.average(own, weights=counts)), own) for own in each[key].values()),
                    key=lambda both: both[0])
 
     ridge, lapse = max(each, key=lambda key: likeliest(key)[0])
-    # The strongest ridge that is worse by no more than the error of that: it is the most careful.
+    # The strongest ridge that is worse by no more than the standard error: the most careful one.
     best = likeliest((ridge, lapse))[1]
     for other in RIDGES:
         loss = counts * (best - likeliest((other, lapse))[1])
@@ -372,29 +378,28 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     text = [
         f"{len(cases)} development cases (synthetic), features of library {lines[0]['library']}; "
         f"ridge {ridge:g}, lapse {lapse:g} in the fit, {last:g} as stated.", "",
-        "Kinds of cases count as often as the frozen set deals them, in the fit by the root of "
-        "that. `when stored`: what the "
-        "package answered when the features were stored; the others: weights that have not seen "
-        "the form, or the rig, of the case. `confident`: 0.8 or more.", "",
+        "Kinds of cases count as often as in the frozen set, in the fit by the root of that. "
+        "`when stored`: answers of the package when the features were stored; the others: weights "
+        "fitted without the form, or the rig, of the case. `confident`: 0.8 or more.", "",
         *as_markdown(("measure", *answers), [(name, *(f"{c[name]:.3f}" for c in columns))
                                              for name in columns[0]]), ""]
-    # By the number of the form, the first being the one that all seeds before 2700 have.
+    # By the number of the form; the first is the one of all seeds before 2700.
     rows = []
     for form in np.unique(forms).tolist():
         own = [k for k, c in enumerate(cases)
                if c.form == form and c.label["kind"] == "single" and c.label["distinguishable"]]
         if own:
             most = np.mean([cases[k].gains_most == cases[k].main for k in own])
-            firsts = [np.mean([said(cases[k], p[k])[0] == cases[k].main for k in own])
+            firsts = [np.mean([first_choice(cases[k], p[k])[0] == cases[k].main for k in own])
                       for p in answers.values()]
             rows.append((f"{form + 1}", f"{len(own)}", *(f"{x:.2f}" for x in (most, *firsts))))
-    found = [said(case, p) for case, p in zip(cases, by_rigs, strict=True)]
+    found = [first_choice(case, p) for case, p in zip(cases, by_rigs, strict=True)]
     stated = np.array([share for _, share, _ in found])
     right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
-    text += ["Distinguishable singles put first, by the number of their form:", "",
+    text += ["Distinguishable singles as first choice, by the number of their form:", "",
              *as_markdown(("form", "cases", "gains most", *answers), rows), "",
-             "What is stated of the first choice, rigs left out, and the share that is right, with "
-             "intervals that hold together in 95 %:", "",
+             "Stated probability of the first choice, rigs left out, and the share that is right, "
+             "with joint 95 % intervals:", "",
              *as_markdown(("stated", "cases", "mean", "right"),
                           stated_and_right(stated, right, counts)), ""]
     weights, covariance = fit_weights(cases, ridge, lapse)
@@ -410,6 +415,6 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         document = {"source": f"{len(cases)} development cases", "ridge": ridge, "fit_lapse": lapse,
                     "lapse": last, "library": lines[0]["library"],
                     "least": round(columns[2]["90 % set: least probability"], 4), "weights": table}
-        said_of_it = "# Weights of the decision with their errors: ./bench blind learn writes it.\n"
+        heading = "# Weights of the decision with their errors: ./bench blind learn writes it.\n"
         dumped = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-        write_text_atomically(out, said_of_it + dumped)
+        write_text_atomically(out, heading + dumped)

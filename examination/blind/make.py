@@ -1,5 +1,5 @@
-"""Make a set of cases: how large what is hidden is, whether another explanation could look alike,
-bags, what the owners believe, and labels under seal."""
+"""Makes a set of cases: sizes of the hidden effects, distances from other explanations, bags,
+stated parameters, and sealed labels."""
 
 import json
 import shutil
@@ -34,10 +34,10 @@ Features, Readings = Mapping[str, float], Mapping[str, Mapping[str, Array]]
 # Features that a mildly different kinetics moves together, at amount 1.
 MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
 _SHRINK, _TRIALS = 0.8, 8
-LAW_SHOWS = 2.0  # gap over noise from which another law is a cause of its own
+LAW_SHOWS = 2.0  # gap over noise from which another law counts as a cause
 
-# What a case's world holds: features without what is hidden (`base`: nuisances and mild kinetics)
-# and with it, draws and amounts by effect, measured gaps, the larger of both records.
+# Features of a case's world without what is hidden (`base`: nuisances and mild kinetics) and with
+# it, draws and amounts by effect, measured gaps (the larger of both records).
 Sized = namedtuple("Sized", "base features draws amounts nuisance_gap kinetics_gap")
 
 
@@ -48,14 +48,14 @@ def size(case: Case) -> Sized:
     little: dict[str, float] = {}
     nuisance_gap = 0.0
     for trial in range(_TRIALS):
-        # As far as the reality goes: a clamped wire hardly shows some of them.
+        # Within their ranges: a clamped wire hardly shows some of them.
         scaled = {name: float(np.clip(scale * value, BY_NAME[name].low, BY_NAME[name].high))
                   for name, value in case.nuisances.items()}
         reached = measured(case, {**case.fixed, **scaled}, {}, fine=COARSE if trial == 0 else 1.0)
         if trial and reached <= cases.NUISANCE_LIMIT:
             little, nuisance_gap = scaled, reached
             break
-        # The gap grows with the scale or its square: down by the root stays above nothing.
+        # The gap grows with the scale or its square; after the first trial the scale only shrinks.
         scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
     # A transformation smoother by the wanted gap.
     little = {**case.fixed, **little}
@@ -66,12 +66,12 @@ def size(case: Case) -> Sized:
         amount = 1.0
         for trial in range(4):
             base = dict(little)
-            for name, part in parts.items():  # as far as the reality goes, if that shows too little
+            for name, part in parts.items():  # within its range, even if it shows too little
                 base[name] = min(little.get(name, 0.0) + amount * part, BY_NAME[name].high)
             kinetics_gap = measured(case, base, little, fine=COARSE if trial < 3 else 1.0)
             # Smoothing acts by its variance: the gap grows between the first and second power.
             amount *= float(np.clip((case.mild_gap / kinetics_gap) ** 0.7, 0.2, 3.0))
-    # What is hidden, at its target or as it comes.
+    # The hidden effects, at their targets or natural amounts.
     rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
     for name, target in zip(case.card.effects, case.card.targets, strict=True):
@@ -103,18 +103,18 @@ def measured(stage: Stage, features: Features, other: Features,
 # --- Could another explanation look the same? Measured with the reality's own sensitivities.
 #
 # The difference that an effect makes is whitened by the true noise and compared with every rival:
-# each other effect of the contract, refitted in size and shape, and wrong parameters alone, the
-# parameters being refitted under their stated uncertainty each time. What no refit takes away, in
-# standard deviations, is the distance to that rival. From cases.WITH_REFITS on no zero of a
-# deflection is evidence, no bench is taken for a straight line, and rivals have all their forms.
+# each other effect of the contract, refitted in size and shape, and wrong parameters alone, with
+# the parameters refitted under their stated uncertainty each time. The part that no refit explains,
+# in standard deviations, is the distance to that rival. From cases.WITH_REFITS on, zeros of
+# deflections are refitted, too, benches are not linearised, and rivals have all their forms.
 # Squared distance above which two explanations are distinguishable: five standard deviations.
 DISTINCT = 25.0
-_WINDOW = 10  # samples of 20 ms to a mean: 5 Hz
+_WINDOW = 10  # samples of 20 ms per mean: 5 Hz
 _STEP = 0.5  # stated standard deviations
 _TINY = 1e-12
 _SHAPES = (0.25, 0.75)  # places within the range of a setting
 _ZERO = 1e-3  # m, of a deflection's sensor
-_REFITS, _BETTER = 8, 0.99  # steps of Gauss and Newton, halved where the squares do not fall so far
+_REFITS, _BETTER = 8, 0.99  # Gauss-Newton steps; halved unless the squares fall to this share
 
 
 def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
@@ -123,9 +123,8 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
     """Distances [standard deviations] of one difference from every rival explanation, the closest
     rival with its own, and whether every rival is out of reach. `base`: features without the
     effect; `truth`, `without`: noise-free readings of each record that is given, with and without
-    what is hidden; `own`: the effect itself, no rival of its own; `nominal`: what is believed, if
-    not every number as its owners do; `refits`: steps to where the parameters do best, with free
-    zeros."""
+    what is hidden; `own`: the effect itself, no rival; `nominal`: stated parameters, if not
+    those of the owners; `refits`: steps to the best-fitting parameters, with free zeros."""
     records, sensors, width = tuple(truth), stage.sensors, _WINDOW * rigs.COMMAND_PERIOD
     load = load_kind(stage.truth)
 
@@ -158,7 +157,7 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
         return numbers.replace({n: numbers[n] + by for n in twins})
 
     def directions(numbers: Parameters, here: Readings) -> Array:
-        """(m, k) what a standard deviation of each parameter does, then of each zero."""
+        """(m, k) change by a standard deviation of each parameter, then of each zero."""
         found = []
         for name, std, wide in zip(names, stated, stds, strict=True):
             changed = read(base, moved(numbers, name, _STEP * std))
@@ -170,7 +169,7 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
                     found.append(whitened({**here, r: there}, here))
         return np.column_stack(found)
 
-    # All parameters under their uncertainty, from those of the bench to where they do best.
+    # Fit all parameters under their uncertainty, starting from those of the bench.
     numbers, origin, difference = stage.truth, read(base, stage.truth), whitened(truth, without)
     here, columns = origin, directions(numbers, origin)
     x, prior = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
@@ -183,7 +182,7 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
             for name, wide, value in zip(names, stds, moves[: len(names)].tolist(), strict=True):
                 there = moved(there, name, wide * value)
             found = read(base, there)
-        except InputError:  # beyond all benches
+        except InputError:  # not a valid bench
             share *= 0.5
             continue
         left = difference - whitened(found, origin) - columns[:, len(names):] @ moves[len(names):]
@@ -195,7 +194,7 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
     free = np.linalg.qr(np.vstack([columns, prior]))[0]
 
     def beyond_parameters(columns: Array) -> Array:
-        """What a refit of the parameters under their uncertainty leaves of (m, k) columns."""
+        """The part of columns (m, k) that a refit of the parameters does not explain."""
         padded = np.pad(columns, ((0, len(free) - len(columns)), (0, 0)))
         return padded - free @ (free.T @ padded)
 
@@ -209,7 +208,7 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
         does = [whitened(read(features, numbers), here)
                 for form in forms for features in _varieties(form, base)]
         free_of = beyond_parameters(np.column_stack(does))
-        # What the columns cannot explain, those of one direction in that direction only.
+        # The part that the columns cannot explain; some effects have one direction only.
         if free_of.shape[1] == 1:
             square = float(np.sum(free_of**2))
             share = float(free_of[:, 0] @ rest) / max(square, _TINY)
@@ -240,9 +239,9 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
 
 
 def law_distances(stage: Stage, base: Features, quantities: tuple[str, ...]) -> tuple[float, float]:
-    """Gap over noise, the largest over signals and records, between what a rig's law does and the
-    nearest of other laws: the cosine with its four temperatures refitted, and any smooth law of a
-    single grain, which has no inner loops of its own."""
+    """Gap over noise, the largest over signals and records, between a rig's law and the best fit of
+    two others: the cosine with its four temperatures, and any smooth law of a single grain, which
+    has no inner loops of its own."""
     if not any(base.get(name, 0.0) for name in MILD_KINETICS):
         return 0.0, 0.0
 
@@ -258,7 +257,7 @@ def law_distances(stage: Stage, base: Features, quantities: tuple[str, ...]) -> 
     wanted, temperatures = readings(base), list(TRANSITIONS.values())
 
     def nearest(smooth: bool) -> float:
-        """Steps of Gauss and Newton, of which the best counts: a temperature may overshoot."""
+        """Gauss-Newton steps, of which the best counts, because a temperature may overshoot."""
         fitted, best = stage.truth, np.inf
         features = {**base, "grain_spread": 0.0, "kinetics_smoothness": 0.5 * smooth}
         for _ in range(3 + 2 * smooth):
@@ -280,7 +279,7 @@ def law_distances(stage: Stage, base: Features, quantities: tuple[str, ...]) -> 
             changed = {n: fitted[n] + float(d) for n, d in zip(temperatures, by[:4], strict=True)}
             try:
                 fitted = fitted.replace(changed)
-            except InputError:  # beyond all wires
+            except InputError:  # not a valid wire
                 break
         return best
 
@@ -294,15 +293,15 @@ LARGEST_SET, _LAYOUT = 9999, 1
 
 def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
                nominal: Parameters | None = None) -> dict[str, Any]:
-    """All that is hidden, and what can be told of it from these records with these numbers."""
+    """A label: what is hidden, and how far these records and stated numbers can show it."""
     card, load, quantities = case.card, load_kind(case.truth), QUANTITIES[case.card.signals]
-    # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
-    believed = None
+    # Noise-free readings with and without what is hidden: the effect, or the owners' mistakes.
+    mistaken = None
     if case.wrong:
         twins = {n for name in case.wrong for n in (name, name.replace("_front", "_back"))}
-        believed = case.truth.replace({name: case.nominal[name] for name in twins})
+        mistaken = case.truth.replace({name: case.nominal[name] for name in twins})
     truth = {r: case.read(sized.features, r) for r in RECORDS}
-    without = {r: case.read(sized.base, r, parameters=believed) for r in RECORDS}
+    without = {r: case.read(sized.base, r, parameters=mistaken) for r in RECORDS}
     gap = {}
     for r in RECORDS:
         found = gaps(truth[r], without[r], case.sensors, quantities)
@@ -311,7 +310,7 @@ def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
     stages = [STAGE_OF.get(name) or OUTSIDE[name].stage for name in card.effects]
     if card.kind == RECALIBRATION:
         stages = sorted({rigs.numbers(load)[name].stage for name in case.wrong})
-    # Of each effect: the gap that it makes beside the others.
+    # The gap that each effect adds to the others.
     severities = dict.fromkeys(card.effects, severity)
     for name in card.effects if len(card.effects) > 1 else ():
         others = dict(sized.base)
@@ -325,8 +324,8 @@ def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
         seen = {r: truth[r] for r in records}
         refits = _REFITS if case.seed in cases.WITH_REFITS else 0
         apart = separation(case, sized.base, seen, without, quantities, own, nominal, refits)
-    # Where it shows in the record that a diagnosis sees: signal of the largest gap; phase and side
-    # of most of that signal's share; stage of the largest effect; the twelve largest cells.
+    # Its place in the record that a diagnosis sees: signal with the largest gap; phase and side
+    # with the largest share of that; stage of the largest effect; the twelve largest cells.
     place: dict[str, Any] | None = None
     if severity:
         first = RECORDS[0]
@@ -365,8 +364,8 @@ def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
-    """Write the bags and the believed numbers of a case below `folder`; its label."""
-    case = replace(case)  # what is played for it goes with it
+    """Write the bags and the stated parameters of a case below `folder`; returns its label."""
+    case = replace(case)  # a copy, whose cached simulations are freed with it
     sized = size(case)
     label, place = make_label(case, sized), folder / case.name
     shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
@@ -381,7 +380,7 @@ def make_case(case: Case, folder: Path) -> dict[str, Any]:
 
 
 def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") -> dict[str, Any]:
-    """Make n cases in a new folder, which appears when all of them are there; its manifest. The
+    """Make n cases in a new folder, which appears when all are done; returns its manifest. The
     same seed and n give the same bytes, whatever the number of jobs. Raises InputError where the
     folder exists or cannot be made, and for a number out of range."""
     out = Path(out)

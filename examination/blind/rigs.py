@@ -1,4 +1,4 @@
-"""A drawn lab: its rig, what drives it, and what its instruments would read."""
+"""A random lab: its rig, its drives, and the readings of its instruments."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,21 +16,21 @@ from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
 
-# --- A lab's rig, drawn: what it truly is, and the numbers its owners believe in.
+# --- A random rig: its true parameters, and those that its owners state.
 _DRAWN = yaml.safe_load(Path(__file__).with_name("cases.yaml").read_text())
 _LAYOUT, _DRIVES = _DRAWN["layouts"], _DRAWN["drives"]
 SIDES = tuple(_LAYOUT["beam"]["bench.channel_sides"])
-# The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
+# Cold martensite of the package's laws is elastic: stretched by its antagonist it does not yield.
 _STILL = {"antagonist": {"detwinning_stress": 1e9}}
-_CLAMPED_STRESS = 100e6  # Pa, of a third or so that has transformed
-# Of two equal stiffnesses the owners know one number.
+_CLAMPED_STRESS = 100e6  # Pa, when about a third has transformed
+# Two equal stiffnesses, which the owners state as one number.
 FRONT = "composite.stress_per_deflection_front"
 BACK = "composite.stress_per_deflection_back"
 
 
 @dataclass(frozen=True)
 class Number:
-    """One that the owners of a rig have an opinion on; the fields are explained in rigs.yaml."""
+    """A parameter that the owners of a rig state; the fields are explained in rigs.yaml."""
 
     middle: float
     spread: float
@@ -40,7 +40,7 @@ class Number:
     absolute: bool = False
 
     def stated_std(self, value: float) -> float:
-        """The standard deviation that the owners state for a number that they believe in."""
+        """The standard deviation that the owners state for a value."""
         return float(f"{self.std if self.absolute else abs(value) * self.std:.3g}")
 
 
@@ -66,19 +66,19 @@ def true_values(truth: Parameters) -> dict[str, float]:
 
 def draw_nominal(truth: Parameters, rng: np.random.Generator,
                  wrong: Mapping[str, float] | None = None) -> Parameters:
-    """What the owners believe: the truth, wrong by one draw of the uncertainty they state, or by so
-    many stated standard deviations as `wrong` says."""
+    """The stated parameters: the true ones, off by one draw of their stated uncertainty, or by the
+    number of stated standard deviations in `wrong`."""
     values, stds = {}, {}
     for name, number in numbers(load_kind(truth)).items():
         true, drawn = float(truth[name]), rng.standard_normal()
         values[name] = true + (wrong or {}).get(name, drawn) * number.stated_std(true)
-        # From the believed number: the true one must not follow from its uncertainty.
+        # From the stated value: the uncertainty must not reveal the true one.
         stds[name] = number.stated_std(values[name])
     return _rig(values, stds, load_kind(truth))
 
 
 def recalibrated(load: str) -> tuple[str, ...]:
-    """Numbers that may be wrong: of a clamped wire those that show in its signals."""
+    """Parameters that may be wrong: for a clamped wire only those that its signals show."""
     shown = ("electrical", "thermal") if load == "clamped" else STAGES
     known = numbers(load).items()
     return tuple(name for name, n in known if not n.weighed and n.stage in shown)
@@ -103,7 +103,7 @@ def _rig(values: dict[str, float], stds: dict[str, float], load: str) -> Paramet
     return Parameters({"wire.diameter": 0.3e-3, **layout, **values}, stds)
 
 
-# --- What the rig is driven with: triangles, steps, staircases and holds, with rests between.
+# --- Drives: triangles, steps, staircases and holds, with rests between.
 COMMAND_PERIOD = 0.02  # s: an Arduino that is commanded 50 times a second
 FAMILIES = ("triangle", "step", "staircase", "trapezoid")
 
@@ -177,8 +177,8 @@ def _draw_pulse(family: str, reach: str, side: str, start: float, truth: Paramet
             corners += [(now, level), (now + stay, level)]
             now += stay + COMMAND_PERIOD
     if reach == "nested":
-        # Turned inside the transformation to austenite, and back inside the one to martensite: up
-        # to the peak, a fall, a stay, a rise, and the last part from the peak on again.
+        # Reversed inside the transformation to austenite, and inside that to martensite: up to the
+        # peak, a fall, a hold, a rise, and then the last part of the pulse, from the peak on.
         ends = [truth[f"wire.martensite_{end}_temperature"] for end in ("start", "finish")]
         shift = hottest(truth) - truth["wire.austenite_finish_temperature"]
         middle = float(np.mean(ends) + 0.4 * shift)
@@ -197,11 +197,11 @@ def _draw_pulse(family: str, reach: str, side: str, start: float, truth: Paramet
 
 
 def hottest(truth: Parameters) -> float:
-    """K at which the last martensite is gone at full contraction, or _CLAMPED_STRESS."""
+    """A_f [K] at the stress of full contraction, or at _CLAMPED_STRESS."""
     modulus, strain = truth["wire.austenite_modulus"], truth["wire.maximum_recoverable_strain"]
-    # Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against.
+    # Wires of a side; load [Pa], and stiffness [Pa] per contraction, that they pull against.
     wires, load = 1, 0.0
-    if load_kind(truth) == "clamped":  # it never transforms wholly
+    if load_kind(truth) == "clamped":  # it never transforms completely
         return float(truth["wire.austenite_finish_temperature"]
                      + _CLAMPED_STRESS / truth["wire.stress_influence_austenite"])
     if load_kind(truth) == "beam":
@@ -228,16 +228,16 @@ def _volts_for(truth: Parameters, temperature: float) -> float:
     return float(np.sqrt(truth["wire.resistance"] * loss * excess))
 
 
-# --- One rig under the drives of its two records, played with any set of features.
+# --- One rig under the drives of its two records, simulated with any set of features.
 RECORDS = ("record", "hold_out")
 PER_WIRE = ("current", "temperature")
-# 20 ms instead of 5 ms inside: enough to size an effect, and for sensitivities.
+# Steps of 20 ms instead of 5 ms: enough to size an effect, and for sensitivities.
 COARSE = 0.25
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A rig's true numbers, its instruments, and what it is driven with by record."""
+    """A rig's true parameters, its instruments, and its drive in each record."""
 
     truth: Parameters
     sensors: Sensors
@@ -263,9 +263,9 @@ class Stage:
 
     def play(self, features: Mapping[str, float], record: str, fine: float = 1.0,
              parameters: Parameters | None = None) -> Outcome:
-        """What happens in a record under these features, every 20 ms, in steps of at most
-        5 ms/fine, with other parameters than the rig's true ones where they are given."""
-        # What only the instruments do does not change what happens.
+        """Simulate a record with these features: output every 20 ms, steps of at most 5 ms/fine;
+        `parameters` instead of the rig's true ones if given."""
+        # Features of the instruments do not change the bench.
         physical = {n: v for n, v in features.items() if BY_NAME[n].stage != "sensor"}
         key = (record, fine, *sorted(physical.items()))
         if parameters is None and key in self._played:
@@ -279,7 +279,7 @@ class Stage:
 
     def read(self, features: Mapping[str, float], record: str, fine: float = 1.0,
              parameters: Parameters | None = None) -> dict[str, Array]:
-        """What the instruments would read without noise: signal -> (n,), every 20 ms."""
+        """Readings of the instruments without noise: signal -> (n,), every 20 ms."""
         outcome = self.play(features, record, fine, parameters)
         return self.named(readings(outcome, world_of(self.truth, features), self.sensors))
 
@@ -316,7 +316,7 @@ def where(with_effect: Mapping[str, Array], without: Mapping[str, Array], stage:
     time = drive.grid(COMMAND_PERIOD)
     driven = (drive.voltage(time) > 0.0).any(axis=1)
     phase = np.where(driven, "drive", np.where(np.maximum.accumulate(driven), "rest", "initial"))
-    side = np.full(len(time), "", dtype="<U5")  # that is driven now or was last
+    side = np.full(len(time), "", dtype="<U5")  # driven now, or last
     for pulse in drive.pulses:
         side[time >= pulse.times[0]] = pulse.side
     rows = []

@@ -1,4 +1,4 @@
-"""Answers and labels brought together once every answer is there, and the result as a page."""
+"""Scores answers by the labels, once every case is answered, and writes the result as a page."""
 
 import math
 from collections import Counter, defaultdict, namedtuple
@@ -97,7 +97,7 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
 
 
 def followed_up(papers: Sequence[Paper]) -> list[Paper]:
-    """Of everyone for whom an experiment was performed, the last answers."""
+    """The last answers of each examinee for whom an experiment was performed."""
     found = []
     for paper in papers:
         last = tuple(files.answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
@@ -114,7 +114,7 @@ _SEVERITIES = {0.0: "1: 0 to 1.5", 1.5: "2: 1.5 to 3", 3.0: "3: 3 to 6", 6.0: "4
 
 
 def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """What is true (rows) against the most probable candidate, as they occur."""
+    """Counts of most probable candidates by true cause (rows)."""
     table = defaultdict[str, Counter[str]](Counter)
     for case in cases:
         chosen = case.first_choice.name if case.first_choice else "no answer"
@@ -156,7 +156,7 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
     return found
 
 
-# --- The result as a page: on the terminal, and as a repository keeps it.
+# --- The result as a page, for the terminal and for the documentation.
 _MOST_SHOWN, _DASH = 4, "–"
 _RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)  # of a probability
 # By style of a measure: factor, digits, unit behind the number.
@@ -190,7 +190,7 @@ def side_by_side(scores: Sequence[Score]) -> list[tuple[Measure, list[str]]]:
 
 
 def tables(one: Score) -> list[str]:
-    """Everything known of one examinee: measures, groups, what was chosen instead of the truth."""
+    """All tables of one examinee: measures, groups of cases, first choices by true cause."""
     header = ("measure", "cases", "value", "95 % interval")
 
     def row(m: Measure) -> tuple[str, ...]:
@@ -200,7 +200,7 @@ def tables(one: Score) -> list[str]:
     targets = [(*row(m), bound(m, m.floor), bound(m, m.aim), m.met(one.measured[m.name]))
                for m in TARGETS]
     lines = as_markdown((*header, "floor", "aim", "met"), targets)
-    lines += ["", "Besides:", "", *as_markdown(header, [row(m) for m in OTHERS])]
+    lines += ["", "Further measures:", "", *as_markdown(header, [row(m) for m in OTHERS])]
     for name, by_group in groups(one.cases).items():
         body = [(group, str(next(iter(found.values())).n),
                  *(f"{v.value:.2f} ({v.low:.2f} to {v.high:.2f})" for v in found.values()))
@@ -208,11 +208,11 @@ def tables(one: Score) -> list[str]:
         if body:
             head = ("", "cases", *(m.name for m in OF_GROUPS))
             lines += ["", f"{name.capitalize()}:", "", *as_markdown(head, body)]
-    said = np.array([s for c in one.cases if (s := c.facts["stated"])], dtype=float)
-    if len(said):
-        lines += ["", "What is stated of the first choice, and the share that is right, with "
-                  "intervals that hold together in 95 %:", ""]
-        body = stated_and_right(*said.T, np.ones(len(said)))
+    stated = np.array([s for c in one.cases if (s := c.facts["stated"])], dtype=float)
+    if len(stated):
+        lines += ["", "Stated probability of the first choice, and the share that is right, with "
+                  "joint 95 % intervals:", ""]
+        body = stated_and_right(*stated.T, np.ones(len(stated)))
         lines += as_markdown(("stated", "cases", "mean", "right"), body)
     choices = []
     for truth, chosen in confusion(one.cases).items():
@@ -224,7 +224,7 @@ def tables(one: Score) -> list[str]:
 
 
 def page(cases: CaseSet, scores: Sequence[Score], name: str) -> str:
-    """The result page, which a repository keeps as the file `name`."""
+    """The result page, to be stored as the file `name`."""
     lines = ["# The withheld-effect check", "",
              f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
              f"sealed labels {cases.sealed_sha256[:16]}.", "", "```",
@@ -249,16 +249,16 @@ def page(cases: CaseSet, scores: Sequence[Score], name: str) -> str:
 
 
 def stated_and_right(stated: Array, right: Array, counts: Array) -> list[tuple[str, ...]]:
-    """A row for each range of what is stated of the first choice (n,): cases, its mean, the share
-    that is right with its interval, all intervals together holding in 95 %; cases count as often
-    as `counts` (n,) says."""
+    """A row for each range of the stated probability of the first choice (n,): cases, mean, share
+    that is right with its interval (all intervals hold jointly in 95 %); `counts` (n,): weights of
+    the cases."""
     rows, level = [], 1.0 - 0.05 / (len(_RANGES) - 1)
     for low, high in pairwise(_RANGES):
         here = (stated >= low) & (stated < high)
         if not here.any():
             continue
         mean, share = (float(np.average(x[here], weights=counts[here])) for x in (stated, right))
-        # So many cases of equal weight tell as much.
+        # Effective number of cases, if all had equal weight.
         n = round(counts[here].sum() ** 2 / (counts[here] ** 2).sum())
         ends = stats.binomtest(round(share * n), n).proportion_ci(level, method="exact")
         rows.append((f"{low:.1f} to {min(high, 1.0):.1f}", f"{int(here.sum())}", f"{mean:.2f}",

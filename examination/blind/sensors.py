@@ -10,11 +10,11 @@ from examination.blind.reality import Outcome, World, forms
 from sma_bench.arrays import Array
 from sma_bench.records import Signal
 
-# --- What a sensor adds of its own: white, coloured and drifting noise.
+# --- Noise of a sensor: white, coloured and drifting.
 
-# Noise model -> lowest and highest (share of the variance that is correlated), and the same of its
-# correlation time in s.
-# "coloured" is a filtered or mains-ridden amplifier, "drift" one that warms up and wanders.
+# Noise model -> lowest and highest share of the variance that is correlated, and lowest and highest
+# correlation time [s].
+# "coloured": an amplifier with filter or mains hum; "drift": one that warms up and drifts.
 NOISE_MODELS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "white": ((0.0, 0.0), (1.0, 1.0)),
     "coloured": ((0.4, 0.95), (0.1, 1.5)),
@@ -40,8 +40,8 @@ class Noise:
     def draw(self, n: int, period: float, rng: np.random.Generator, tails: float = 0.0,
              slow: float = 0.0) -> Array:
         """(n,) noise at samples `period` s apart, stationary from the first one on. Its white part
-        may follow Student's t with so many degrees of freedom (`tails`), a share `slow` of its
-        correlated part remember ten times as long."""
+        follows Student's t with `tails` degrees of freedom, if above 0; a share `slow` of its
+        correlated part has ten times the correlation time."""
         white, driving = rng.standard_normal((2, n))
         if tails > 0.0:
             white = rng.standard_t(tails, n) * np.sqrt(1.0 - 2.0 / tails)
@@ -84,15 +84,15 @@ class Noise:
 # and readings become signals, by sampling, noise and resolution.
 QUANTITIES = ("voltage", "current", "temperature", "deflection")
 UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
-# 5 V in 1024 counts; the current through an amplifier of 1 V/A; the camera's tenth of a degree on
-# the Celsius scale; the range sensor's digits.
+# 5 V in 1024 counts; current through an amplifier of 1 V/A; a tenth of a degree Celsius of the
+# camera; digits of the range sensor.
 RESOLUTION = {"voltage": 5 / 1024, "current": 5 / 1024, "temperature": 0.1, "deflection": 5e-6}
 _CELSIUS_ZERO = 273.15
 # The signal of a camera at 8 to 14 um grows like this power of the temperature around 330 K.
 RADIANCE_EXPONENT = 4.5
-# From the stamp to the recorder, s: serial line, image processing, serial line.
+# s, from the timestamp to the recorder: serial line, image processing, serial line.
 _DELAY, _DELAY_SPREAD = {"power": 0.002, "temperature": 0.006, "joint_states": 0.003}, 0.0003
-_LARGEST_JITTER = 0.4  # of the period: stamps stay in order
+_LARGEST_JITTER = 0.4  # of the period: timestamps stay in order
 _DRIFT_TERMS = 3
 _SHUTTER_PERIOD = (12.0, 40.0)  # s between two flags of the camera
 
@@ -100,8 +100,8 @@ _SHUTTER_PERIOD = (12.0, 40.0)  # s between two flags of the camera
 @dataclass(frozen=True)
 class Sensors:
     """One set of instruments: noise by quantity (of a voltage only while driven), rates [Hz],
-    jitter [s] of the sampling instants, part of the messages that never arrive, lateness [s] of the
-    camera's stamps, seed of what is the rig's and not the record's: drift, shutter."""
+    jitter [s] of the sampling instants, share of lost messages, lateness [s] of the camera's
+    timestamps, seed of what belongs to the rig, not to a record: drift, shutter."""
 
     noise: Mapping[str, Noise]
     power_rate: float = 50.0
@@ -123,8 +123,8 @@ class Sensors:
 
 
 def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Array]:
-    """What perfect samples of the instruments' readings would be, without noise: voltage, current,
-    temperature (n, w) and, where something moves, deflection (n,), in SI units, by their stamps."""
+    """Readings of the instruments without noise and rounding: voltage, current, temperature (n, w)
+    and, where something moves, deflection (n,), in SI units, by timestamp."""
     time = outcome.time
     # Radiance of wire and surroundings in the spot, through the camera's own lag from rest.
     fill, lag = world.feature("spot_fill"), world.feature("camera_lag")
@@ -159,7 +159,7 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
 
 
 def drift_shape(time: Array, seed: int) -> Array:
-    """(n,) smooth wandering from 0, at most 1 in magnitude."""
+    """(n,) smooth random drift from 0, at most 1 in magnitude."""
     rng = np.random.default_rng([seed, 1])
     terms = np.arange(1, _DRIFT_TERMS + 1)
     weights = rng.standard_normal(_DRIFT_TERMS) / terms
@@ -183,7 +183,7 @@ def measure(outcome: Outcome, world: World, sensors: Sensors, rng: np.random.Gen
     """Signals of the contract as these instruments would record an outcome on a uniform grid from
     0, whose voltage and current hold until the next time; voltages are recorded always."""
     clean, channels = readings(outcome, world, sensors), world.parameters["bench.channels"]
-    # The clock of every topic: stamps of every tick, times by the recorder's clock, what arrived.
+    # By topic: timestamps, times of reception by the recorder's clock, which messages arrived.
     topics = {f"{channel}/power": sensors.power_rate for channel in channels}
     topics |= {f"{channel}/temperature": sensors.camera_rate for channel in channels}
     topics["joint_states"] = sensors.mechanics_rate

@@ -36,7 +36,7 @@ def test_what_is_wrong_with_the_papers_numbers_is_found_and_others_are_judged_an
         assert said in by_subject(PAPER.replace(changed))[subject].text
     leads = by_subject(PAPER.replace({"bench.lead_resistance": 1.0}))
     assert leads["current"].severity == "info"
-    # A held force is set against the stress that a wire bears.
+    # A held force is compared with the stress that a wire can carry.
     held = by_subject(PAPER.replace(FORCE))["force"]
     assert held.severity == "info" and "force" not in found
     assert held.numbers["stress"] == pytest.approx(1.0 / (math.pi * 0.15e-3**2))

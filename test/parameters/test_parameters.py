@@ -1,4 +1,4 @@
-"""Validation of parameters, and ROS parameter files in and out."""
+"""Validation of parameters; reading and writing of ROS parameter files."""
 
 import os
 from pathlib import Path
@@ -43,7 +43,7 @@ def test_defaults_are_the_papers_table_one_and_every_declaration_is_complete():
         assert parameter.validated(parameter.default) == parameter.default
         if parameter.kind == "double":
             assert parameter.unit and None not in (parameter.low, parameter.high)
-    # What nobody stated makes way.
+    # Defaults that nobody stated give way to stated values.
     assert Parameters({START: 360.0})[FINISH] == pytest.approx(381.8)
     assert Parameters({FINISH: 330.0})[START] == pytest.approx(308.2)
 
@@ -95,7 +95,7 @@ def test_of_a_nodes_dump_defaults_count_as_unstated_and_numbers_are_those_of_ros
     assert body["wire"]["mass"] == 1e-4
     assert isinstance(body["wire"]["mass"], float)
     assert isinstance(body["bench"]["maximum_voltage"], float)
-    # Nested, flat, and without a decimal point: a text to YAML.
+    # Nested, flat, and without a decimal point, which YAML reads as text.
     for text in ("wire:\n      mass: 0.0001", "wire.mass: 0.0001", "wire.mass: 1e-4"):
         path.write_text(f"{ROOT}    {text}\n")
         assert read_parameters(path)["wire.mass"] == 1e-4

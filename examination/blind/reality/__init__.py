@@ -1,4 +1,4 @@
-"""A bench that is richer than the model: it shares no simulation code with `physics`."""
+"""A simulator with more physics than the model, which shares no simulation code with `physics`."""
 
 from examination.blind.reality.simulate import Outcome, happen
 from examination.blind.reality.world import BY_NAME, FEATURES, Feature, World

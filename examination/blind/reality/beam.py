@@ -1,4 +1,4 @@
-"""Equilibrium of the bench: the wires of both sides, the silicone or the load, what they remember.
+"""Equilibrium of the bench: wires of both sides, silicone or load, and their memory.
 
 For the wires i of side s, whose deflection towards itself is d_s, against the other side o:
 
@@ -42,8 +42,8 @@ Beam = namedtuple("Beam", "side stiffness load prestretch lever bow opposing rel
 # State: of the wires (w,) the fraction at the predicted stress and along stress, stresses [Pa] and
 # their change in the last step, largest austenite fraction so far, plastic and detwinned strain; of
 # the sides (2,) the deflection [m] towards itself, its change in the last step, and what the Prony
-# terms still feel of it (2, k); of the wires how far each lies loose in its slack, and what part of
-# the strain that stays does so by now.
+# terms still hold of it (2, k); of the wires how far each is loose in its slack, and what part of
+# the residual strain stays by now.
 Pull = namedtuple("Pull", "martensite martensite_slope predicted stress stress_change transformed "
                   "elongation detwinned deflection change held loose settled")
 
@@ -77,7 +77,7 @@ def beam(world: World) -> Beam:
 
 
 def pull_at_rest(beam: Beam) -> Pull:
-    """At rest, all martensite, bearing what the load is."""
+    """At rest, all martensite, carrying the load."""
     wires = len(beam.side)
     stress = (beam.load / np.bincount(beam.side))[beam.side]
     settled = np.full(wires, 0.0 if beam.features.residual_ratchet > 0.0 else 1.0)
@@ -101,7 +101,7 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
     stretch += beam.prestretch[beam.side[i]]
     strain = stretch + thermal / modulus
     if beam.opposing > 0.0 and beam.features.opposing_gap > 0.0 and contraction < 0.0 < strain:
-        # Passive wires lie buckled: they are straightened before they resist.
+        # Passive wires are buckled: they are straightened before they resist.
         taken = min(beam.features.opposing_gap, -contraction, strain)
         straight = 1.0 if taken == beam.features.opposing_gap else 0.0
         stretch, strain, contraction = stretch - taken, strain - taken, contraction + taken
@@ -170,7 +170,7 @@ def balance(beam, pull, temperature, step, scratch):
         scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]
         relaxing = beam.features.matrix_relaxation
         if relaxing > 0.0:
-            # What the relaxing part of the stiffness is worth in this step, and its load [m].
+            # Effective stiffness of the relaxing part in this step, and its load [m].
             worth, shift = 0.0, 0.0
             for j in range(len(beam.relaxation_time)):
                 time, part = beam.relaxation_time[j], beam.relaxation_share[j]
@@ -217,7 +217,7 @@ def balance(beam, pull, temperature, step, scratch):
             change = scratch[ALONG, i] * contraction - scratch[ERROR, i]
             pull.stress[i] += change
             largest = max(largest, abs(change) / beam.austenite_modulus)
-    # The solved deflections are the state; wires and silicone remember.
+    # Store the solved state, and update the memory of wires and silicone.
     for i in range(wires):
         pull.stress_change[i] = pull.stress[i] - scratch[BEFORE, i]
         contraction = side_contraction(beam, i, front, back)

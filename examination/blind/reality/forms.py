@@ -1,7 +1,7 @@
-"""Other forms of the same effects: short equations, each with its source; settings choose them.
+"""Other forms of the same effects, selected by settings: short equations, each with its source.
 
-With every setting off each function is today's single form, to the last bit. Sources are of the
-kind of equation; where no source is named, it is a plausible one of this examination."""
+With every setting off, each function is the original form, to the last bit. Sources are for the
+kind of equation; one without a source is a plausible assumption of this examination."""
 
 import math
 
@@ -14,7 +14,7 @@ from sma_bench.compiled import inlined
 Array = NDArray[np.float64]
 
 # --- Electrical.
-SLOW_SHARE = 0.8  # of a battery's drop that comes and goes
+SLOW_SHARE = 0.8  # of a battery's drop, builds up and decays
 
 
 @inlined
@@ -57,7 +57,8 @@ def sagged(has, sag, amperes, step):
 # --- Heat.
 ASIDE_WIDTH, ASIDE_BELOW = 5.0, 8.0  # K: deviation of a heat peak of its own, below A_s
 ONSET_GAIN = 1.44
-EVENT_RISE, EVENT_FALL, EVENT_REACH = 3.0, 60.0, 120.0  # s; a door does what a rate does in so long
+EVENT_RISE, EVENT_FALL = 3.0, 60.0  # s
+EVENT_REACH = 120.0  # s: a door has the size of a rate over this time
 
 
 @inlined
@@ -69,7 +70,7 @@ def latent_worth(has, martensite):
 
 @inlined
 def latent_aside(has, temperature, centre):
-    """Share of the latent heat a kelvin that another phase takes in: q N(T; T_R, 5 K), the
+    """Share of the latent heat per kelvin that another phase absorbs: q N(T; T_R, 5 K), the
     R-phase's own peak (Miyazaki and Otsuka, Metall. Trans. A 17, 1986)."""
     if has.latent_aside == 0.0:
         return 0.0
@@ -93,7 +94,7 @@ LAYERS = (0.1, 1.0, 10.0)  # of the time
 
 @inlined
 def from_reservoir(has, warmed, i, temperature, step):
-    """W into wire i from what it warms beside its way to the air; `warmed` (w, 3) K is advanced. G
+    """W into wire i from reservoirs that it warms beside it; `warmed` (w, 3) K is advanced. G
     (E - T) with tau dE/dt = T - E, a clamp; the mean of three of them, times a decade apart, a
     block (lumped capacities: Incropera, Fundamentals of Heat and Mass Transfer, ch. 5)."""
     watts = 0.0
@@ -124,10 +125,10 @@ NARROW = 0.35  # width of a grain's own range, of the wire's
 
 
 def relay_rows(starts, finishes, shifts, share: float) -> list[tuple]:
-    """Grain classes (weight, A_f, rate, shift, M_f, rate, shift) that turn each in a narrow range
-    of its own, in the same order both ways: Preisach's plane along its centres, the play operator
+    """Grain classes (weight, A_f, rate, shift, M_f, rate, shift), each with a narrow range of
+    its own, in the same order both ways: Preisach's plane along its centres, the play operator
     (Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989)."""
-    # Places that have, with the narrow ranges, the mean and deviation of the cosine.
+    # Places that give, with the narrow ranges, the mean and deviation of the cosine.
     places = np.arccos(1.0 - 2.0 * (np.arange(RELAYS) + 0.5) / RELAYS) / np.pi - 0.5
     places *= math.sqrt((0.25 - 2.0 / math.pi**2) * (1.0 - NARROW**2)) / np.std(places)
     hot, cold = finishes[0] - starts[0], starts[1] - finishes[1]
@@ -140,7 +141,7 @@ def relay_rows(starts, finishes, shifts, share: float) -> list[tuple]:
 @inlined
 def duhem(bow, own, turned, before):
     """Factor on the straight way out of a loop, and on its slope: 1 + b (1 - y_r)(1 - o/o_r), a
-    branch that starts flat, as Duhem equations whose slope goes with the way already made have
+    branch that starts flat, as with Duhem equations whose slope grows with the distance travelled
     (Madill and Wang, IEEE Trans. Control Syst. Technol. 6, 1998). A full loop stays as it is."""
     bulge = bow * max(1.0 - before, 0.0)
     if bulge == 0.0 or turned <= 0.0 or own <= 0.0 or own > turned:
@@ -172,7 +173,7 @@ def smooth_ramp(law: float, position: Array, deviation: float) -> tuple[Array, A
 
 @inlined
 def worn(has, loops, driven):
-    """Share of the drift that is done: by loops, or by the time that the wire was hot (ageing:
+    """Share of the drift that is reached: by loops, or by the time that the wire was hot (ageing:
     Eggeler et al., Mater. Sci. Eng. A 378, 2004)."""
     if has.drift_time > 0.0:
         return -math.expm1(-driven / has.drift_time)
@@ -180,13 +181,13 @@ def worn(has, loops, driven):
 
 
 # --- Mechanics.
-SLOW_BACK = 8.0  # recovery's time, of relaxation's
+SLOW_BACK = 8.0  # time constant of recovery over that of relaxation
 POWER_TIMES, POWER_LAW = (0.001, 3.0), 0.3  # of the time; exponent
 
 
 def prony(law: float, time: float) -> tuple[Array, Array]:
     """Times (k,) and shares of the relaxing terms: a decade apart, one (standard linear solid,
-    slower back than forth), or those of a power law t^-0.3 (Schapery, Int. J. Solids Struct. 2,
+    slower in recovery), or those of a power law t^-0.3 (Schapery, Int. J. Solids Struct. 2,
     1966)."""
     if law == 1.0:
         return np.array([time]), np.ones(1)
@@ -254,7 +255,7 @@ def ratcheted(has, loops):
 
 
 # --- Sensors.
-SLOWER = 8.0  # time constant of a slow share, of the fast one's
+SLOWER = 8.0  # time constant of the slow share over that of the fast one
 
 
 def lagged(values: Array, period: float, lag: float, slow: float, exposure: float) -> Array:

@@ -1,4 +1,4 @@
-"""Heat in the reality: what the drive puts in, the silicone between the wires, the air."""
+"""Heat in the reality: electrical heating, the silicone between the wires, the air."""
 
 import math
 from collections import namedtuple
@@ -10,7 +10,7 @@ from examination.blind.reality.forms import Array
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
-# --- The air around a bench: its temperature, its gusts, and what the film at a surface carries.
+# --- The air around a bench: its temperature, its gusts, and the heat transfer at a surface.
 #
 # Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat
 # Mass Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
@@ -136,7 +136,7 @@ def strip_of(world: World) -> Strip:
     heat = world.feature("silicone_heat_capacity")
     wire = p["wire.mass"] * p["wire.specific_heat"]
     skin_heat = heat * np.array(SKIN_CELLS)
-    # Isolated cells take part in nothing, but the equations need a number.
+    # Isolated cells have no influence, but the equations need a number.
     between = 2.0 * heat + world.feature("coupling_capacity")
     middle_heat = between * middle_cells if conductance > 0.0 else np.ones(MIDDLE)
     return Strip(np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),

@@ -1,9 +1,9 @@
-"""What happens in a world: voltages in, true values out; one step after the other.
+"""Simulates a world, step by step: voltages in, true values out.
 
-Electricity, heat, phase, equilibrium, tip. Within a step each block sees the others as they were,
-except phase and stress, which are solved together. Latent heat is an apparent capacity by the
-transformation of the step before; what that misses is owed and paid over the next steps, so that
-no heat is lost."""
+Electricity, heat, phase, equilibrium, tip. Within a step each block uses the previous values of the
+others, except phase and stress, which are solved together. Latent heat is an apparent heat capacity
+from the transformation in the step before; the error of that is carried as a debt and paid back
+over the next steps, so that no heat is lost."""
 
 import math
 from collections import namedtuple
@@ -20,25 +20,25 @@ from examination.blind.reality.world import World
 from sma_bench.compiled import borrowing, inlined, warn_if_plain
 
 PAID_BACK = 0.1  # of the owed latent heat, each step
-STEEPEST = 0.5  # 1/K, transformation per kelvin that an apparent capacity may stand for
+STEEPEST = 0.5  # 1/K, largest transformation per kelvin in an apparent capacity
 CURRENT, TEMPERATURE, SURFACE, MARTENSITE, STRESS = 0, 1, 2, 3, 4
 QUANTITIES = 5
-# What comes from outside: (n,) s, (n, w) V, (n,) K, (n,) factor, (n - 1,) steps between.
+# Inputs: (n,) s, (n, w) V, (n,) K, (n,) factor, (n - 1,) steps between.
 Inputs = namedtuple("Inputs", "time voltage ambient gust steps")
 # State of the wires, each (w,): K before and after a step, martensite before it, s driven, full
 # loops so far, K drift of the transition, J of latent heat owed, the transformation per kelvin in
-# the last step [1/K], V by which the supply sags; K of what it warms on its way out (w, 3).
+# the last step [1/K], V by which the supply sags; K of the reservoirs beside it (w, 3).
 Wires = namedtuple("Wires", "before after martensite driven loops shift owed apparent sag beside")
-# Room to reckon in: source (2, w) W and J/K; pair (2, 2); strip (5, NODES); beam (ROWS, w).
+# Scratch arrays: source (2, w) W and J/K; pair (2, 2); strip (5, NODES); beam (ROWS, w).
 Scratch = namedtuple("Scratch", "source pair strip beam")
-# What a world is made of: ohm and J of latent heat of a wire, K at which another phase may take in
+# Constants of a world: ohm and J of latent heat of a wire, K at which another phase may absorb
 # some of that; `pairs` (s, 2) are the wires in front and behind of each strip.
 Rig = namedtuple("Rig", "features resistance latent aside strip pairs classes ramps beam")
 
 
 @borrowing
 def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
-    """Go through a record from the given state, which is advanced in place; field (s, NODES) K;
+    """Simulate a record from the given state, which is advanced in place; field (s, NODES) K;
     values (n, QUANTITIES, w), tip (n,) m and sides (n, 2) m are written."""
     reading = 0.0
     for k in range(len(inputs.time)):
@@ -116,7 +116,7 @@ def phase(rig, grains, pull, wires, step):
     memory, bow = rig.features.return_point_memory, rig.features.loop_bow
     for i in range(len(wires.after)):
         moved, shift = wires.after[i] - wires.before[i], wires.shift[i]
-        if moved > 0.0:  # where only the way to martensite drifts
+        if moved > 0.0:  # if only the transformation to martensite drifts
             shift *= 1.0 - rig.features.drift_of_martensite
         if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
             transformation.turn(rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift,
@@ -133,10 +133,10 @@ def phase(rig, grains, pull, wires, step):
 
 @inlined
 def aftermath(rig, grains, pull, wires):
-    """What the step's transformation leaves behind: grains' state, fatigue, latent heat."""
+    """Update what depends on the step's transformation: grains, fatigue, latent heat."""
     has = rig.features
     for i in range(len(wires.after)):
-        # The stress that equilibrium has found, and not what `transform` was given.
+        # Correct for the stress at equilibrium, which `transform` had only predicted.
         loaded = pull.stress[i] - pull.predicted[i]
         for c in range(grains.martensite.shape[1]):
             martensite = grains.martensite[i, c] + grains.martensite_slope[i, c] * loaded
@@ -158,16 +158,16 @@ def aftermath(rig, grains, pull, wires):
                 wires.apparent[i] = min(max(-change / moved, 0.0), STEEPEST)
 
 
-# --- Let things happen in a world: voltages in, true values out.
+# --- The simulation of a world: voltages in, true values out.
 LONGEST_STEP, ROUNDING = 5e-3, 1e-9  # s
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What happened, true values on the given time grid, SI units, (n,) or (n, w) wires: voltage at
+    """True values on the given time grid, SI units, (n,) or (n, w) wires: voltage at
     the driver, held from each sample to the next; surface of the silicone beside each wire, which
     an infrared spot sees too; deflection of the tip or the slider, positive to the front, or
-    elongation of a wire with a weight or a spring; (n, 2) what each side does towards itself."""
+    elongation of a wire with a weight or a spring; (n, 2) deflection of each side to itself."""
 
     time: Array
     voltage: Array
@@ -182,8 +182,8 @@ class Outcome:
 
 
 def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0) -> Outcome:
-    """What a world does under voltages (n, w) V, held from each of the increasing times (n,) s to
-    the next, from rest at ambient temperature; what its sensors do wrong does nothing here.
+    """Simulate a world under voltages (n, w) V, held from each of the increasing times (n,) s to
+    the next, from rest at ambient temperature; features of its sensors have no influence here.
     Internal steps are at most 5 ms/fine long (0.25: 20 ms, for cheap sensitivities)."""
     warn_if_plain()
     time, voltage = np.array(time, dtype=float), np.array(voltage, dtype=float)

@@ -1,4 +1,4 @@
-"""How a wire transforms in the reality: grains with temperatures of their own, and loops."""
+"""Transformation in the reality: grains with temperatures of their own, and loops."""
 
 import math
 from collections import namedtuple
@@ -35,7 +35,7 @@ def grain_classes(world: World) -> Classes:
     factors = np.array([world.feature(f"stress_influence_factor_{phase}")
                         for phase in ("austenite", "martensite")])
     plain = np.array([p["wire.stress_influence_austenite"], p["wire.stress_influence_martensite"]])
-    # Of a bent line only what is added to the belief is bent.
+    # Of a bent line only the difference from the stated slope is bent.
     knee, square = world.feature("stress_knee"), world.feature("stress_square")
     is_bent = knee > 0.0 or square > 0.0
     shifts = (1.0 / plain if is_bent else factors / plain).tolist()
@@ -211,7 +211,7 @@ def draw(memory, grains, i, c, phase, own):
 @inlined
 def transform(classes, table, memory, bow, grains, i, temperature, stress):
     """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa]. The
-    temperature is less the drift of the transition, in the direction of `grains.rising`."""
+    temperature is that minus the drift of the transition, in the direction of `grains.rising`."""
     rising, line = grains.rising[i], grains.line
     total, total_slope = 0.0, 0.0
     for c in range(len(classes.weight)):

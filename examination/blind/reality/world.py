@@ -1,6 +1,6 @@
-"""A world: the true numbers of a rig, and every departure from the baseline model.
+"""A world: the true parameters of a rig, and its differences from the baseline model.
 
-All departures off is the baseline. `Features` are what may happen, a `World` is one bench."""
+`FEATURES` are all possible differences; with all of them off a `World` is the baseline."""
 
 import math
 from collections import namedtuple
@@ -39,11 +39,11 @@ BY_NAME: dict[str, Feature] = {feature.name: feature for feature in FEATURES}
 Numbers = namedtuple("Numbers", [feature.name for feature in FEATURES])
 
 
-# --- A world: the true numbers of a rig, and what the baseline model does not know of it.
+# --- A world: the true parameters of a rig, and its features.
 @dataclass(frozen=True, eq=False)
 class World:
-    """One bench as it really is: true numbers of the baseline of a composite, of wires with a load
-    or of a clamped one, and values by name of FEATURES; what is absent is off. Raises InputError
+    """One bench as it really is: true parameters of a composite, of wires with a load or of a
+    clamped one, and values of FEATURES by name; absent ones are off. Raises InputError
     for an unknown feature, a value out of its range, or a rig that is none of these."""
 
     parameters: Parameters
@@ -58,7 +58,7 @@ class World:
                                  f"{feature.high:g} {feature.unit}")
         object.__setattr__(self, "features", {n: float(v) for n, v in self.features.items()})
         if self.load == "displacement":
-            raise InputError("world: load.kind is displacement, expected what the wires pull")
+            raise InputError("world: load.kind is displacement, expected a load that wires pull")
 
     @property
     def load(self) -> str:
@@ -66,7 +66,7 @@ class World:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Of all wires; unless of a beam or antagonists, idle ones lie behind."""
+        """Of all wires; idle ones are added behind, except for a beam or antagonists."""
         sides = tuple(self.parameters["bench.channel_sides"])
         return sides if self.load in ("beam", "antagonist") else sides + ("back",) * len(sides)
 
