@@ -24,7 +24,7 @@ _WANDERING = 25.0  # s: a wandering zero is slower
 _UNUSUAL = 0.35  # standard deviation of log(drift/usual)
 _RATIOS = np.geomspace(0.1, 100.0, 13)  # drift over white, that are tried
 _FEW_LEVELS = 0.2  # of the samples: with more distinct values a signal counts as continuous
-_OFTEN, _EXACT = 0.01, 0.01  # of the moves, by one step; of the smallest gap, is rounding
+_OFTEN, _EXACT = 0.01, 0.01  # least share of moves by one step; of the smallest gap: rounding
 _HARMONICS = 50  # of a converter's error
 
 

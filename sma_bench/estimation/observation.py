@@ -34,7 +34,7 @@ EVERYTHING = (*QUANTITIES, *LOAD_FRAME)
 
 _CELL = 0.02  # s of the simulation; the energy of the voltages in it is exact
 _LONG_CELL = 0.1  # s, while voltages are held
-_FINE_CELL, _FINE_SPAN = 0.0075, 0.45  # s after a jump, where readings turn within hundredths
+_FINE_CELL, _FINE_SPAN = 0.0075, 0.45  # s: cell after a jump, where readings turn fast; how long
 _CELLS = 80  # per time constant at least after a jump: latent heat acts at the end of a cell
 _HEATED, _COOLED = 5.0, 7.0  # time constants left out of a record that begins driven; warm
 _FAR_APART = 0.03, 1.0  # s between the samples about a jump: it needs more than one cell there
