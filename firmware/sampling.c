@@ -40,7 +40,7 @@ static const uint8_t pins[INPUTS] = {
 
 static uint8_t slot;
 static uint8_t running; /* input of the present conversion */
-static uint8_t following; /* of the next one: the converter is told while one runs */
+static uint8_t following; /* of the next one: it is chosen while one runs */
 static uint8_t ended; /* count of Timer0 at the end of the last one, or up to two before */
 static uint8_t burst, rounds;
 static uint8_t lit; /* bit mask of boards that are on at the sample, or UNSURE */

@@ -409,7 +409,7 @@ function showTip(plot, { tip, now }, unit) {
 // --- the stop, and work on records --------------------------------------------------------------
 
 let stops = 0;
-let told = null;
+let shownAgain = null;
 
 async function stop() {
   const mine = ++stops;
@@ -445,8 +445,8 @@ function showStop({ stopped, said, answers = [], voltages = {} }) {
 
 // After a confirmed stop: warn everybody who saw it that a voltage is on again.
 function showAgain({ again }) {
-  if (!again || again === told) return;
-  told = again;
+  if (!again || again === shownAgain) return;
+  shownAgain = again;
   const volts = again.volts === null ? "a voltage" : `${again.volts.toFixed(2)} V`;
   showStop({ stopped: false, said: `VOLTAGE IS ON AGAIN: ${again.place} ${volts}, ` +
     `${again.seconds.toFixed(1)} s after the stop.` });

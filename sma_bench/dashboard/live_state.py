@@ -89,7 +89,7 @@ class WireVoltage(NamedTuple):
     heard: float  # when that was received
     off_since: float  # since when all readings have been 0; inf while one is not
     stamp: float  # of the newest, s of its source's clock
-    said: float  # time of the last message, even if it repeats the reading
+    last_message: float  # its time, even if it repeats the reading
 
 
 @dataclass
@@ -125,7 +125,7 @@ class LiveState:
             if (quantity, kind) != ("voltage", MEASURED):
                 return
             if (before := self._voltages.get(place)) and not is_new:
-                self._voltages[place] = before._replace(said=now)
+                self._voltages[place] = before._replace(last_message=now)
                 return
             off_since = min(now, before.off_since if before else now)
             is_off = abs(value) <= NO_VOLTAGE

@@ -250,7 +250,7 @@ class Wires:
                  before: Mapping[str, WireVoltage], foreign: Mapping[str, str]) -> None:
         """`foreign`: wires whose voltage is from a node that takes no commands, and that node."""
         self._begin = begin
-        self.live = {p: v for p, v in voltages.items() if v.said >= begin - _SILENT}
+        self.live = {p: v for p, v in voltages.items() if v.last_message >= begin - _SILENT}
         self._foreign = {place: foreign[place] for place in self.live if place in foreign}
         gone = {place: v.stamp - before[place].stamp if place in before else math.inf
                 for place, v in self.live.items()}

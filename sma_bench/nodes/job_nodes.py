@@ -191,7 +191,7 @@ class InvestigationNode(WorkNode):
         return self._work is not None and self._work.is_alive()
 
     def _investigate(self, settings: Mapping[str, Any], parameters: Parameters) -> None:
-        def heed(_: str = "") -> None:
+        def check_stop(_: str = "") -> None:
             if self._stopping.is_set():
                 raise InputError("stopped on request")
 
@@ -203,7 +203,7 @@ class InvestigationNode(WorkNode):
         try:
             while True:
                 self._enter("diagnosing")
-                heed()
+                check_stop()
                 result = self._worker.run(jobs.investigate, settings, parameters, report)
                 self._publish_result(result)
                 story = json.loads(result)
@@ -214,11 +214,11 @@ class InvestigationNode(WorkNode):
                 if self.settings["confirm"]:
                     self._enter(f"{_WAITING}: {following['protocol']}")
                     while not self._confirmed.wait(_LOOK_EVERY):
-                        heed()
+                        check_stop()
                 self._enter(f"{_RUNNING}: {following['protocol']}")
                 self._calls.run_recorded(
                     following["file"], following["protocol"], 60.0 * following["minutes"],
-                    following["bag"], heed, self.simulated)
+                    following["bag"], check_stop, self.simulated)
         except InputError as error:
             if self._stopping.is_set():
                 self._enter("stopped")

@@ -107,12 +107,12 @@ class NodeCalls:
         return future.result()
 
     def run_recorded(self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
-                     heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
-                     needed: Collection[str] = ()) -> None:
+                     on_state: Callable[[str], None] = lambda state: None,
+                     simulated_time: bool = False, needed: Collection[str] = ()) -> None:
         """Let the experiment node run a protocol while a recorder started here records it. If
         anything ends this early, the experiment stops at 0 V, and the unfinished bag stays beside
         `bag`. `protocol`: its file; `name`, `seconds`: its name and duration; `bag`: new folder;
-        `heed`: called with the experiment's state some 20 times a second, may raise to end the run;
+        `on_state`: called with the experiment's state about 20 times a second, may raise to end it;
         `simulated_time`: whether the bench runs on /clock; `needed`: relative topics to be recorded
         before it starts. InputError: the experiment is not ready or aborts, or a node is gone."""
         bag = Path(bag)
@@ -146,7 +146,7 @@ class NodeCalls:
             with NodeProcesses(self._namespace, bag.parent) as nodes:
                 def look() -> str:
                     nodes.check()
-                    heed(self.state("experiment"))
+                    on_state(self.state("experiment"))
                     return self.state("experiment")
 
                 nodes.start("recorder", {"output": str(unfinished), "use_sim_time": simulated_time})
