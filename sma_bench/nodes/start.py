@@ -213,7 +213,7 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
             inside = option == "--ros-args"
             continue
         if not inside:
-            raise InputError(f"unknown argument {option!r}: ROS arguments follow --ros-args")
+            raise InputError(f"unknown argument {option!r}: ROS arguments go after --ros-args")
         options.append((option, value))
         # The node's section in a file has its (remapped) name and namespace.
         name, _, target = value.partition(":=")
