@@ -162,8 +162,9 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     row[[at.OVERLOAD, at.BATTERY]] *= p["wire.count"]
     row[at.KNEE] /= p["wire.count"]
     row[at.TIME_CONSTANT], row[at.LOSS] = time_constant(p), heat_loss(p)
-    row[at.LATENT_RISE] = p["effect.latent_heat.heat"] / p["wire.specific_heat"]
-    if tilt := p["effect.latent_heat.tilt"]:
+    heat = p["effect.latent_heat.heat"]
+    row[at.LATENT_RISE] = heat / p["wire.specific_heat"]
+    if tilt := min(max(p["effect.latent_heat.tilt"], -heat), heat):
         row[at.LATENT_TILT], row[at.HEATED_OTHERWISE] = tilt / p["wire.specific_heat"], 1.0
     row[at.CAPACITY] = p["wire.mass"] * p["wire.specific_heat"]
     row[at.MODULUS_CHANGE] = p["wire.martensite_modulus"] - p["wire.austenite_modulus"]

@@ -162,6 +162,16 @@ def test_no_latent_heat_is_lost_between_wire_and_silicone():
     assert np.abs(np.cumsum(left - taken, axis=0)).max() < 1e-4 * np.cumsum(electrical).max()
 
 
+def test_no_martensite_gives_heat_off_on_its_way_to_austenite():
+    time, voltage = pulses(0.05, 12.0)
+    tilted = [simulate(effect(COMPOSITE, f"latent_heat: heat=9e3 tilt={tilt}"), time, voltage)
+              for tilt in (9e3, 25e3, -9e3, -25e3)]
+    for as_much, more in (tilted[:2], tilted[2:]):
+        assert np.array_equal(more.temperature, as_much.temperature)
+    even = simulate(effect(COMPOSITE, "latent_heat: heat=0 tilt=9e3"), time, voltage)
+    assert np.array_equal(even.temperature, simulate(COMPOSITE, time, voltage).temperature)
+
+
 def driven(rig, *peaks, sigma=0.0):
     """A wire at constant stress [Pa] with a slow voltage through `peaks`, 4 s from one to the next;
     and the samples at which its temperature reverses."""
