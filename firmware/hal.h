@@ -45,7 +45,7 @@ void outputs_off(void); /* at once */
 void outputs_prepare(void);
 uint8_t outputs_register(uint8_t channel); /* what is applied, in 1/256, read back */
 bool outputs_make(uint8_t channel, uint16_t duty); /* true: the output fits this duty */
-void outputs_gather(uint8_t boards); /* bit mask: join short pulses, for the converter to meet */
+void outputs_gather(uint8_t boards); /* bit mask: join short pulses to ones that can be sampled */
 void relay_close(void);
 void relay_open(void);
 

@@ -284,8 +284,8 @@ class Wires:
             still = ", ".join(f"{place} {self.live[place].volts:.2f} V" for place in self.on)
             return f"NOT STOPPED, voltage is on: {still}. Use the emergency stop of the bench."
         if self._foreign:
-            whose = ", ".join(f"{p}'s from {node}" for p, node in sorted(self._foreign.items()))
-            return f"Not confirmed, voltages come from nodes that take no commands: {whose}. Look."
+            whose = ", ".join(f"{p} ({node})" for p, node in sorted(self._foreign.items()))
+            return f"Not confirmed: nodes that take no commands publish {whose}. Look at the bench."
         if silent:
             return f"Not confirmed: no reading since the request from {silent}. Look at the bench."
         if self.stay_off:

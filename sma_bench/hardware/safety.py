@@ -295,7 +295,7 @@ class Wire:
                                     (self.ampere, _MODELLED_CURRENT * limits.maximum_current))]
 
     def temperature(self, kelvin: float, stamp: float, limits: Limits) -> None:
-        """Note a temperature acquired at `stamp` s, and its rise since one `_RATE_BASE` before."""
+        """Note a temperature acquired at `stamp` s, and its rise since an earlier one."""
         self.kelvin, self.rise = kelvin, 0.0
         if not math.isfinite(kelvin):
             return
@@ -456,7 +456,7 @@ class Guard:
               limits: Limits) -> None:
         """Note voltage in V and current in A; both NaN or infinite is not a reading."""
         wire, subject = self._wires[channel], f"{channel}/power"
-        least = min(wire.sent, default=0.0)  # a reading between two pulses must show only this
+        least = min(wire.sent, default=0.0)  # a reading between two pulses may show only this
         wire.power(volt, ampere, stamp, limits)
         if math.isfinite(volt) or math.isfinite(ampere):
             self._fresh[subject].seen(stamp, now)

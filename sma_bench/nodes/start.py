@@ -62,7 +62,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     from sma_bench.ros.node import end_of_ros, start_ros
 
     nodes = dict[str, Any]()
-    # Lists, as a signal handler may take no lock: what ended; while nodes are made; and compile.
+    # Lists (a signal handler may take no lock): what ended; not empty during creation; compiling.
     over, making, compiling = list[Any](), [True], list[bool]()
 
     def end(*_: Any) -> None:  # a second signal has no further effect

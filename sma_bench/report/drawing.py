@@ -26,7 +26,7 @@ _LINES = (("#0b3c5d", "-", "o"), ("#b5402f", "--", "s"), ("#2f8f83", "-.", "^"),
           ("#d99a2b", ":", "D"), ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"),
           ("#4a4a4a", (0, (1, 1)), "P"))
 _MARKS_OF_A_LINE = 6
-MOST_POINTS = 1000  # of a line in the page's script (see `thinned`); the CSV has all
+MOST_POINTS = 1000  # of a line in the page's script (see `thinned`); the CSV has all that are drawn
 _DASHES = {"-": [], "None": [], "": [], "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0],
            ":": [1.5, 3.0]}
 _WIDE = 2.0  # pt: wider lines are drawn wide by the script

@@ -35,7 +35,7 @@ _MARK = b'<meta name="generator" content="sma_bench">'
 @dataclass(frozen=True)
 class Picture:
     """A figure with its file name, title and caption (equation and data source); with `over_time`
-    the page's script draws it anew, with readings under the pointer."""
+    the page's script redraws it, with readings under the pointer."""
 
     name: str
     title: str

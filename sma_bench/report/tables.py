@@ -44,7 +44,6 @@ def diagnosis_tables(result: "DiagnosisResult") -> dict[str, Table]:
 
 
 def cell_of(value: Any) -> str:
-    """A parameter's value as text."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return ", ".join(value) if isinstance(value, tuple) else str(value)

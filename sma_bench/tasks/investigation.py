@@ -102,7 +102,7 @@ class Investigation:
         self.given += [path for path in paths if path not in self.given]
         self._keep()
         if not begun:
-            names = sorted(parameters.given) or None  # None: all, a file needs some
+            names = sorted(parameters.given) or None  # None: write all, as a file must not be empty
             write_parameters(self.folder / BELIEVED, parameters, "As stated.", names)
 
     @property
