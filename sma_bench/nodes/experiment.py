@@ -165,7 +165,7 @@ class ExperimentNode(BenchNode):
     def _plan(self) -> Protocol:
         protocol = self._loop.plan(self.settings, self.parameters)
         if protocol.pulls:
-            self.get_logger().warning(f"{protocol.name}: the load frame must pull as its steps state")
+            self.get_logger().warning(f"{protocol.name}: the load frame must pull as stated")
         self._loop.begin(self.settings, self.parameters)
         return protocol
 
