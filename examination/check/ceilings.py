@@ -84,8 +84,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         scores += score(cases, handed_in(cases, [answers]), labels)
     rows = [(m.title, *values) for m, values in side_by_side(scores)]
     print(*as_markdown(("measure", *COLUMNS), rows), sep="\n")
-    print(f"\nNot in the records: the truth gains less than {THRESHOLD} nats over recalibration, "
-          f"a pair less than {PAIR_THRESHOLD} over its better effect alone.\n")
+    print(f"\nNot in the records: the true cause gains less than {THRESHOLD} nats over "
+          f"recalibration, a pair less than {PAIR_THRESHOLD} over its better effect alone.\n")
     found, rows = defaultdict(list), []
     for name in names:
         label = labels[name]
@@ -117,22 +117,22 @@ def copied(root: Path, whole: files.CaseSet, labels: Mapping[str, Label],
 
 # --- The variants of a case.
 def make_exact(case: Path, label: Label, _: files.CaseSet) -> None:
-    believed = read_parameters(case / blind.NOMINAL)
-    stds = {n: _SHARE * s for n, s in believed.given_uncertainty.items()}
+    nominal = read_parameters(case / blind.NOMINAL)
+    stds = {n: _SHARE * s for n, s in nominal.given_uncertainty.items()}
     right = {n: label["truth"][n] for n in stds if n in label["truth"]}
     twins = {n.replace("_front", "_back"): v for n, v in right.items() if n.endswith("_front")}
-    both = right | {n: v for n, v in twins.items() if n in believed.given}
-    exact = believed.replace(both, stds)
+    both = right | {n: v for n, v in twins.items() if n in nominal.given}
+    exact = nominal.replace(both, stds)
     write_parameters(case / blind.NOMINAL, exact, names=sorted(exact.given))
 
 
 def make_tested(case: Path, label: Label, whole: files.CaseSet) -> None:
-    believed = read_parameters(case / blind.NOMINAL)
-    stated = believed.given_uncertainty
-    stds = {n: std for n, std in least_stds(believed).items() if std < stated.get(n, 0.0)}
+    nominal = read_parameters(case / blind.NOMINAL)
+    stated = nominal.given_uncertainty
+    stds = {n: std for n, std in least_stds(nominal).items() if std < stated.get(n, 0.0)}
     asked = files.NextExperiment((), {}, stds)
     random = np.random.default_rng([_STREAM, whole.seed, int(case.name)])
-    tested = blind.after_tests(label, asked, believed, random)
+    tested = blind.after_tests(label, asked, nominal, random)
     write_parameters(case / blind.NOMINAL, tested, names=sorted(tested.given))
 
 
@@ -161,9 +161,9 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
 def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
     """Fit the true cause, starting from the truth: its gain in nats over the result of the search,
     and over the truth without its (second) effect."""
-    believed = read_parameters(case / blind.NOMINAL)
+    nominal = read_parameters(case / blind.NOMINAL)
     records = [read_record(case / name) for name in (blind.RECORD, blind.HOLD_OUT)]
-    found = search(observation.observe_all(records, believed, observation.QUANTITIES), believed)
+    found = search(observation.observe_all(records, nominal, observation.QUANTITIES), nominal)
     effects = [name for name in label["effects"] if name in found.singles]
     if len(effects) < len(label["effects"]):
         return 0.0, 0.0  # no measured quantity shows the effect
@@ -187,7 +187,7 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
         if item.name in label["truth"]:
             values[k] = label["truth"][item.name]
             if item.partner:
-                values[k] *= label["truth"][item.partner] / believed[item.partner]
+                values[k] *= label["truth"][item.partner] / nominal[item.partner]
     true = unknowns.x_of(values)[: unknowns.bench]
     again = fit(best.problem, unknowns, np.concatenate([true, best.x[unknowns.bench :]]), far=True)
     most = max(again.evidence, best.evidence)

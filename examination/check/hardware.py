@@ -131,6 +131,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     show(estimates, truth)
     for warning in answer["warnings"]:
         print("note", warning)
-    print(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
+    print(f"within {SIGMAS:g} standard errors of the true values, statistical errors under "
           f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")  # fmt: skip
     return 0 if holds else 1

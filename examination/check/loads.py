@@ -82,15 +82,15 @@ def report(results: Sequence[dict[str, Any]]) -> bool:
     for load in dict.fromkeys(r["load"] for r in results):
         own = [r for r in results if r["load"] == load]
         unseen = np.concatenate([r["unseen"] for r in own])
-        believed = float(np.median(np.concatenate([r["believed"] for r in own])))
+        stated = float(np.median(np.concatenate([r["believed"] for r in own])))
         median, tail = float(np.median(unseen)), float(np.quantile(unseen, 0.9))
         off = np.concatenate([list(r["deviations"].values()) for r in own])
         share = float(np.mean(np.abs(off) <= Z_95))
         good = median < MEDIAN and tail < TAIL and BAND[0] <= share <= BAND[1]
         passed &= good
-        percent = (f"{100 * x:.2f}" for x in (believed, median, tail, share))
+        percent = (f"{100 * x:.2f}" for x in (stated, median, tail, share))
         rows.append((load, len(own), *percent, "" if good else "outside the limits"))
-    print_table(("load", ">benches", ">believed", ">median", ">90 %", ">inside", ""), rows)
+    print_table(("load", ">benches", ">as stated", ">median", ">90 %", ">inside", ""), rows)
     print()
     print_coverage((item for r in results for item in r["deviations"].items()), Z_95)
     return passed

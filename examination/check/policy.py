@@ -123,13 +123,14 @@ def main(argv: Sequence[str] | None = None) -> int:
                     for name in names:
                         ElementTree.SubElement(allowed, item).text = name
         ElementTree.indent(policy)
-        head = ('<?xml version="1.0" encoding="UTF-8"?>\n<!-- Who may say what: docs/threats.md. '
-                "Written from the nodes by ./bench check policy with its option write. -->\n")
+        head = ('<?xml version="1.0" encoding="UTF-8"?>\n<!-- Topics and services of each node: '
+                "docs/threats.md. Written from the nodes by ./bench check policy with its option "
+                "write. -->\n")
         POLICY.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
     policy = read_policy()
     problems = [f"{title}: {node} {kind} {', '.join(sorted(names))}" for title, rules in (
-        ("had, but not allowed", missing_rules(found, policy)),
-        ("allowed, but not had", missing_rules(policy, found)))
+        ("used, but not allowed", missing_rules(found, policy)),
+        ("allowed, but not used", missing_rules(policy, found)))
         for node, kinds in rules.items() for kind, names in kinds.items()]
     print(*problems, f"{len(policy)} nodes", sep="\n")
     return 1 if problems else 0

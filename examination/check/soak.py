@@ -51,8 +51,8 @@ GUST = 30.0  # s, length of a draught and of a drive
 N, TICKS = round(GUST / COMMANDS), round(GUST / GRID)  # commands and steps per draught
 CLOCK = GRID * np.arange(TICKS + 1)
 EVERY_DRIVEN = 20  # every 20th hour of the host has four wires with the bridge's driver
-BELIEVED = {"a wire": Parameters.defaults()}
-BELIEVED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
+STATED = {"a wire": Parameters.defaults()}
+STATED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
 SIMULATED = {p.name: p.default for p in SIMULATOR}
 BRIDGE = {p.name: p.default for p in SERIAL_BRIDGE}
 DEVICE = DeviceIdentity("sma-uno", "0", "", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0, 2.0)
@@ -84,11 +84,11 @@ class World:
         feedback = ("power", "temperature") if self.camera else ("power",)
         return Guard(channels, feedback, BRIDGE["feedback_timeout"])
 
-    def parameters(self, believed: Parameters, loss: float, warmer: float) -> Parameters:
+    def parameters(self, stated: Parameters, loss: float, warmer: float) -> Parameters:
         """True parameters in a draught of `loss` and a room `warmer` K than at the start."""
-        return believed.replace({
-            "wire.resistance": believed["wire.resistance"] * max(self.age),
-            "wire.heat_transfer_coefficient": believed["wire.heat_transfer_coefficient"] * loss,
+        return stated.replace({
+            "wire.resistance": stated["wire.resistance"] * max(self.age),
+            "wire.heat_transfer_coefficient": stated["wire.heat_transfer_coefficient"] * loss,
             "environment.ambient_temperature": self.room + warmer,
             "effect.phase_dependent_resistance.austenite_change": self.austenite,
             "effect.temperature_lag.time_constant": 0.4 if self.slow else 0.03})
@@ -166,11 +166,11 @@ def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
 
 def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """Cuts of a faultless wire by the rules of a commanding node."""
-    rng, believed = np.random.default_rng([1, seed]), BELIEVED["a wire"]
-    limits = Limits.from_parameters(believed)
+    rng, stated = np.random.default_rng([1, seed]), STATED["a wire"]
+    limits = Limits.from_parameters(stated)
     chain, power_every, kelvin_every = instruments(rng, world, seed)
     volt_gain, ampere_gain, kelvin_gain = (1.0 + error for error in world.errors[:3])
-    bench, cuts, begun, arrived = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0, [0.0]
+    bench, cuts, begun, arrived = Bench(world.parameters(stated, 1.0, 0.0)), [], 0.0, [0.0]
     heard = 1.0  # s, after which a new guard has all its readings
     guard = world.guard(["wire"])
     for loss, warmer in gusts(rng, world, seconds):
@@ -178,7 +178,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
         # The bench with its sagging supply, and its sensors.
         own = limits.resistance * max(world.age)
         true = np.repeat(commands * dips(rng, world) * own / (own + world.sag), 2)
-        bench = Bench(world.parameters(believed, loss, warmer), initial=bench.state)
+        bench = Bench(world.parameters(stated, loss, warmer), initial=bench.state)
         made = bench.follow(CLOCK, np.append(true, true[-1]))
         # The latest reading of a sensor when the next command comes.
         read = slice(power_every - 1, -1, power_every)
@@ -215,11 +215,11 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
 
 def driver_of(world: World) -> tuple[BenchDriver, Guard, Limits]:
     """The bridge's driver of four wires, with a device that obeys and is not tested here."""
-    believed, doing = BELIEVED["four wires"], dict.fromkeys(("limit", "arm", "drive", "stop"), done)
-    limits, channels = Limits.from_parameters(believed), believed["bench.channels"]
+    stated, doing = STATED["four wires"], dict.fromkeys(("limit", "arm", "drive", "stop"), done)
+    limits, channels = Limits.from_parameters(stated), stated["bench.channels"]
     link: Any = SimpleNamespace(status=LinkStatus(True, DEVICE, connections=1), **doing)
     guard = world.guard(channels)
-    sensors = BenchSensors(believed["bench.channel_sides"], BRIDGE)
+    sensors = BenchSensors(stated["bench.channel_sides"], BRIDGE)
     return BenchDriver(link, sensors, guard, channels, limits, waiver="soak"), guard, limits
 
 
@@ -229,16 +229,16 @@ def done(*_: Any) -> None:
 
 def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """Cuts of four faultless wires by the bridge's driver."""
-    rng, believed = np.random.default_rng([2, seed]), BELIEVED["four wires"]
+    rng, stated = np.random.default_rng([2, seed]), STATED["four wires"]
     driver, guard, limits = driver_of(world)
     chain, power_every, kelvin_every = instruments(rng, world, seed)
-    channels = believed["bench.channels"]
-    bench, cuts, begun = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0
+    channels = stated["bench.channels"]
+    bench, cuts, begun = Bench(world.parameters(stated, 1.0, 0.0)), [], 0.0
     own, most = limits.resistance * max(world.age), world.highest(limits)
     for loss, warmer in gusts(rng, world, seconds):
         commands = np.column_stack([programme(rng, most) for _ in channels])
         # The device follows its supply; the pulses of a board load it.
-        bench = Bench(world.parameters(believed, loss, warmer), initial=bench.state)
+        bench = Bench(world.parameters(stated, loss, warmer), initial=bench.state)
         held = np.repeat(commands, 2, axis=0)
         made = bench.follow(CLOCK, np.vstack([held, held[-1:]]))
         supply = np.repeat(12.0 * dips(rng, world), 2)
@@ -296,7 +296,7 @@ def built() -> tuple[Any, Path]:
 
 def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """Cuts of four faultless wires by safety.c."""
-    limits = Limits.from_parameters(BELIEVED["four wires"])
+    limits = Limits.from_parameters(STATED["four wires"])
     numbers = (seed, seconds, 12.0, world.sag, world.dip, CURRENT_NOISE * world.noise,
                2.0 * world.errors[3], DRIFT * SWING, limits.resistance * max(world.age),
                world.austenite, world.room, limits.heat_loss * (1.0 + 0.3 * world.draught),

@@ -306,7 +306,7 @@ def _agreed(offer: Mapping[str, Any], yes: bool) -> bool:
     return False
 
 
-def _run_simulated(run: Mapping[str, Any], bench: str, believed: "Parameters") -> None:
+def _run_simulated(run: Mapping[str, Any], bench: str, stated: "Parameters") -> None:
     """Drive a simulated bench with the parameters of a file, and record it."""
     from sma_bench.live.virtual_bench import SimulatedRun
     from sma_bench.parameters import read_parameters
@@ -314,9 +314,9 @@ def _run_simulated(run: Mapping[str, Any], bench: str, believed: "Parameters") -
     from sma_bench.records.bag_writer import write_record
 
     hidden, seed = read_parameters(bench), run["bag"].rpartition("_")[2]
-    protocol = load_protocol(run["file"], believed)
+    protocol = load_protocol(run["file"], stated)
     with terminal.progress(protocol.name):
-        signals, markers = SimulatedRun(hidden, believed, int(seed)).follow(protocol)
+        signals, markers = SimulatedRun(hidden, stated, int(seed)).follow(protocol)
     made = {"how": "simulated bench", "source": bench}
     write_record(run["bag"], signals, start_ns=time.time_ns(), markers=markers, provenance=made)
 

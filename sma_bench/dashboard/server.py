@@ -25,7 +25,7 @@ from sma_bench.border import TEXT, read_fields
 from sma_bench.dashboard.live_state import QUANTITIES, Seen, WireVoltage
 from sma_bench.errors import InputError
 
-# Of a stop.
+# The stop.
 _STOP_TIMEOUT = 3.0  # s
 _STAYS_OFF = 1.0  # s of 0 V: longer than a command timeout, and than most pauses between pulses
 _SILENT = 1.0  # s without a message after which a wire no longer belongs to the bench

@@ -1,1 +1,1 @@
-"""What stands between a command and a hot wire: safety rules and instruments, without ROS."""
+"""Safety rules, the link to the device, its sensors, images of the infrared camera. No ROS."""

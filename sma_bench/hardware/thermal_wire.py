@@ -251,7 +251,7 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
         apparent = float(np.median(surfaces) if median else surfaces.mean())
         noise *= (_MEDIAN_OVER_MEAN if median else 1.0) / math.sqrt(len(surfaces))
     above = apparent - background
-    # What curves the background between near and far may curve it below the wire too.
+    # If the background differs between near and far, it may be as curved under the wire.
     curved = abs(float(np.mean(near - far))) * pixels * over_width
     width = above * optics.width_std * optics.width * over_width
     camera = image.slope_at(float(image.temperature_of(apparent))) * optics.accuracy

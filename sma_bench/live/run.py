@@ -115,7 +115,7 @@ class Surroundings:
 
 
 class Outputs(Interface):
-    """What a run acts on: voltages, the step that begins (`mark`), its state, its progress."""
+    """The outputs of a run: voltages, the step that begins (`mark`), its state, its progress."""
 
     def surroundings(self) -> Surroundings: ...
     def send(self, voltage: list[float]) -> None: ...

@@ -157,11 +157,11 @@ class Lockstep:
 
 
 class SimulatedRun:
-    """A run of a simulated bench with the parameters `hidden`, under the limits of `believed`."""
+    """A run of a simulated bench with the parameters `hidden`, under the limits of `stated`."""
 
-    def __init__(self, hidden: Parameters, believed: Parameters, seed: int) -> None:
+    def __init__(self, hidden: Parameters, stated: Parameters, seed: int) -> None:
         self._bench = VirtualBench(hidden, {p.name: p.default for p in SIMULATOR} | {"seed": seed})
-        self._limits = Limits.from_parameters(believed)
+        self._limits = Limits.from_parameters(stated)
         channels = self._bench.channels
         self._guard = Guard(channels, ("power", "temperature"), _TIMEOUT)
         self._volts, self._now = (0.0,) * len(channels), 0.0

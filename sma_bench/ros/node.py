@@ -191,7 +191,7 @@ def stamp_of(message: Any) -> int:
 
 
 def seconds_of(message: Any) -> float:
-    """The same in s."""
+    """As `stamp_of`, in s."""
     return stamp_of(message) / NANOSECONDS
 
 
