@@ -18,6 +18,7 @@ from sma_bench.diagnose.result import (
     UNEXPLAINED,
     DiagnosisResult,
     Difference,
+    Drift,
     LeftOver,
     Moved,
     Verdict,
@@ -52,6 +53,7 @@ _STAGES = {
 _FREE_FORM = 30.0  # nats that a smooth response gains
 _IN_MOTION = 5.5  # standard deviations by which it scatters more in motion than at rest
 _EVENT = 8.0  # standard deviations of a single sample
+_CLEARLY_MORE, _VISIBLE = 2.0, 5.0  # times the drift with the best model; times the white noise
 _CHANCE = 0.05  # probability that the parameters of some stage move this far by chance
 
 
@@ -250,6 +252,12 @@ def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
         rival, other = (rivals or others)[0]
         cell = locate(one.problem, one.predicted - other.predicted)[0]
         differ = Difference((first.name, rival.name), cell)
+    # Slow drifts of sensors without an effect, if visible, and more than with one.
+    drifts, best = [], _drifts(model)
+    for name, rms in _drifts(found.recalibrated).items():
+        visible = _VISIBLE * found.recalibrated.problem.noise[name].white
+        if rms > visible and (not unknowns.effects or rms > _CLEARLY_MORE * best[name]):
+            drifts.append(Drift(name, rms, best[name]))
     # The residual of the best model; ratio and outlier are 0 where they may be noise.
     left, gain, by = found.left, found.flexible.gain, RECALIBRATION
     if unknowns.effects:
@@ -257,5 +265,16 @@ def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
     ratio, outlier = (size if size > least else 0.0
                       for size, least in ((left.ratio, _IN_MOTION), (left.outlier, _EVENT)))
     return {"moved": tuple(sorted(moved, key=lambda one: -abs(one.deviations))),
-            "difference": differ,
+            "difference": differ, "drifts": tuple(drifts),
             "left": LeftOver(by, gain, left.signal, ratio, outlier, gain > _FREE_FORM)}
+
+
+def _drifts(fitted: Fit) -> dict[str, float]:
+    """By signal, the most probable slow drift of the sensor in the residual (rms, of the worst
+    record)."""
+    found = defaultdict[str, float](float)
+    for block in fitted.problem.blocks:
+        drift = fitted.problem.noise[block.signal.name].drift_in(fitted.left[block.rows])
+        rms = float(np.sqrt(np.mean(drift**2)))
+        found[block.signal.name] = max(found[block.signal.name], rms)
+    return found

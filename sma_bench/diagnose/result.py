@@ -132,6 +132,15 @@ class Difference:
 
 
 @dataclass(frozen=True)
+class Drift:
+    """Slow drift (rms) that a sensor must have if no effect is present, and with the best model."""
+
+    signal: str
+    needed: float
+    with_best: float
+
+
+@dataclass(frozen=True)
 class Missed:
     """The stage at which a smooth unknown input best explains what no effect does, and when."""
 
@@ -168,6 +177,7 @@ class DiagnosisResult(Carded):
     shrinkage: dict[str, Shrinkage]  # by quantity, on held-out data
     moved: tuple[Moved, ...] = ()  # far from stated in the best model
     difference: Difference | None = None  # between the two best models
+    drifts: tuple[Drift, ...] = ()  # that sensors must have if no effect is present
     left: LeftOver | None = None  # residual of the best model
     missed: Missed | None = None  # if the verdict is unexplained
     not_compared: tuple[str, ...] = ()  # quantities that no record holds

@@ -18,7 +18,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
 from sma_bench.records import read_record
 from sma_bench.records.bag_writer import write_record
-from sma_bench.results import json_text
+from sma_bench.results import card, json_text
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -97,6 +97,20 @@ def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_rig, tmp_path):
     assert min(s.time[0] for s in unseen.signals) >= border - 0.2
     assert max(s.time[-1] for s in seen.signals) < border + 0.2
     assert set(wire_diagnosis.shrinkage) == {"current", "temperature"}
+
+
+def test_a_gap_that_a_drift_of_the_thermometer_may_explain_says_how_large(wire_rig, tmp_path):
+    drifting = wire_rig.replace({"effect.ambient_drift.rate": 0.1})
+    strong = wire_rig.replace({"effect.supply_drop.resistance": 0.3})
+    found = []
+    with few_effects(("ambient_drift", "supply_drop")):
+        for k, bench in enumerate((drifting, strong)):
+            record = planted_record(tmp_path / str(k), quantities=ALL[:2], bench=bench)
+            found.append(diagnose([record], wire_rig))
+    (drift,) = found[0].drifts
+    assert drift.signal == "wire.temperature" and 0.5 < drift.needed < 2.0  # the air warms by 2 K
+    assert "drift" in dict(card(found[0]).rows)
+    assert not found[1].drifts
 
 
 def test_records_of_different_sensors_are_diagnosed_together(tmp_path):
