@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = "test/nodes/test_bridge_faults.py::test_outputs_go_to_zero_in_time_and_the_cause_is_told"
+TESTS = "test/nodes/test_bridge_faults.py::test_outputs_go_to_zero_in_time_and_the_cause_is_shown"
 ROW = "{:48.48} {:>10} {:>9}  {:5} {}"
 
 

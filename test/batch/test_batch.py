@@ -74,7 +74,7 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
+def test_the_end_of_a_batch_ends_all_processes_and_keeps_finished_results(bags, tmp_path, number):
     done = tmp_path / "out" / "1_wire_2.5.yaml"
     records = [bags / "wire_2.5", *[bags / "wire_2.9"] * (_MANY - 1)]
     process = sma_bench("batch", "identify", *records, "--out", done.parent, "--jobs", 2)
@@ -123,7 +123,7 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
 
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\xff" * 64, b""])
-def test_what_is_no_scheduler_is_one_line_within_seconds(answer, capfd):
+def test_an_address_without_a_scheduler_is_refused_in_one_line_within_seconds(answer, capfd):
     """Something else answers there, or nothing."""
     pytest.importorskip("distributed")
     held = []

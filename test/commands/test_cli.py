@@ -90,7 +90,7 @@ def test_an_imposed_elongation_is_that_of_the_bag_and_zero_in_a_protocol(tmp_pat
 
 @pytest.mark.parametrize("words", ["audit --json", "simulate --protocol ramp --out",
                                    "parameters --out"])  # fmt: skip
-def test_an_output_folder_that_cannot_be_written_is_one_line(words, tmp_path, capsys):
+def test_an_output_folder_that_cannot_be_written_is_refused_in_one_line(words, tmp_path, capsys):
     (tmp_path / "file").write_text("not a folder")
     assert "result" in refuse(capsys, *words.split(), tmp_path / "file" / "result")
     assert os.listdir(tmp_path) == ["file"]

@@ -21,8 +21,8 @@ from sma_bench.physics.material import direct_reading
 from sma_bench.protocols import DEFLECTION, TEMPERATURE
 from sma_bench.synthetic.bench_records import run_loop
 
-# What a lab's own identification leaves these uncertain by; those of the table are of Table I,
-# read by sensors as good as their data sheets say.
+# Standard errors after a lab's own identification; the others are those of Table I and of the
+# sensors' data sheets.
 AFTER_IDENTIFICATION = {"wire.resistance": 0.03, "wire.heat_transfer_coefficient": 8.0,
                         "wire.specific_heat": 10.0, "environment.ambient_temperature": 0.5}
 NUMBERS = st.floats(-1e3, 1e3)
@@ -33,7 +33,7 @@ KELVIN = {"noise": 0.08, "resolution": 0.1}
 
 
 def off_by_deviations(parameters, names, seed, deviations=1.0):
-    """A bench that differs from its identified parameters by what they are uncertain."""
+    """A bench whose parameters deviate from the identified ones by their standard errors."""
     draws = deviations * np.random.default_rng(seed).standard_normal(len(names))
     return parameters.replace({n: parameters[n] + z * parameters.std(n)
                                for n, z in zip(names, draws, strict=True)})

@@ -1,4 +1,4 @@
-"""What a page is told, in its units; and a stop that says only what the voltages say."""
+"""Data for a page, in its units; and the result of a stop, which follows from the voltages."""
 
 import asyncio
 import json
@@ -79,7 +79,7 @@ def test_numbers_beyond_any_bench_are_no_numbers_to_a_page(value):
     assert len(shown) >= len(QUANTITIES) and set(shown) == {None}
 
 
-def test_a_reading_that_is_said_again_is_none():
+def test_a_repeated_reading_is_not_new():
     state = LiveState(clock := Clock())
     for stamp, heard in ((5.0, 100.0), (5.0, 100.0), (6.0, 102.0), (0.0, 103.0)):
         state.reading("voltage", "wire", 0.0, stamp=stamp)
@@ -139,10 +139,10 @@ STAMPS = (lambda _: 5.0, lambda _: 0.0, lambda now: 0.001 * now, lambda now: -no
     (3.0, {"answers": {}}, SILENT, "Nothing to stop"),
     *((0.0, {"stamp": stamp}, {}, "Not") for stamp in STAMPS),
     *((0.0, {"stamp": stamp}, LATE, "Not") for stamp in (*STAMPS[:2], STAMPS[3])),
-    # That a voltage is on is believed whatever its stamp.
+    # A reading of a voltage that is on counts whatever its stamp.
     *((3.0, {"obeys": False, "stamp": stamp}, {}, "NOT STOPPED, volt") for stamp in STAMPS[1:]),
 ])  # fmt: skip
-def test_no_stop_is_confirmed_where_no_new_reading_says_so(bench, volts, change, readings, said):
+def test_no_stop_is_confirmed_without_new_readings(bench, volts, change, readings, said):
     """A wire that stays on is named, and commanded to zero meanwhile."""
     vars(bench).update(change)
     bench.volts = {"front_1": volts, "back_1": 0.0}
@@ -170,7 +170,7 @@ def test_a_wire_whose_driver_hung_long_ago_is_still_one_of_the_bench(bench, volt
 def test_stamps_of_another_time_confirm_a_stop_and_a_clock_that_jumps_only_once_it_goes_on(
     bench, ahead
 ):
-    """What counts is the source's own clock, whatever time it has."""
+    """The source's own clock counts, whatever time it shows."""
     bench.volts = dict.fromkeys(bench.volts, 0.0)
     bench.stamp = lambda now: now + ahead
     assert stopped(bench, patience=30.0)["stopped"]
@@ -206,7 +206,7 @@ def test_a_player_a_commander_that_comes_back_and_current_that_still_flows_are_n
 
 
 @pytest.mark.parametrize(("off", "phase"), [(30, 0), (30, 66), (99, 0), (99, 33), (99, 99)])
-def test_a_wire_that_pulses_is_never_called_off(off, phase):
+def test_a_pulsed_wire_is_never_reported_as_off(off, phase):
     """5 V in one reading, 0 V in up to 99: one every 10 ms, looked at now and then."""
     clock = Clock()
     state = LiveState(clock)

@@ -101,7 +101,7 @@ def test_it_shows_signals_limits_progress_nodes_and_results_as_text(browser, ben
     assert bench.work == [("identify", ["monday"]), ("identify", ["tuesday", "wednes day"])]
 
 
-def test_current_that_still_flows_is_the_loudest_thing_until_it_ends(browser, bench, url):
+def test_current_that_still_flows_is_shown_largest_until_it_ends(browser, bench, url):
     told = "still flowing: pull the plug (4.43 A through the front board with its outputs off)"
     with opened(browser, url, PHONE, "dark") as shown:
         shown.until(SETTLED)
@@ -155,7 +155,7 @@ def test_the_stop_works_by_key_and_mouse_and_without_javascript_and_shows_what_c
         shown.until(ANSWERED + " && " + result.format("bad"))
 
 
-def test_what_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, bench, url):
+def test_data_that_the_page_cannot_show_is_lost_and_never_an_old_reading(browser, bench, url):
     run = {"protocol": "p", "step": "s", "elapsed": 1.0, "duration": "30", "heard": 0.0}
     with opened(browser, url) as shown:
         for k, (panel, wrong) in enumerate((

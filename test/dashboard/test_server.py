@@ -1,4 +1,4 @@
-"""Who gets the page: nobody without the token, no other web page, no other name."""
+"""Access to the page: none without its token, from another web page or under another name."""
 
 import http.client
 import json

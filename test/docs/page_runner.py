@@ -23,7 +23,7 @@ from typing import NamedTuple
 from sma_bench.cli import main
 
 PROGRAMS = ("sma-bench", "./bench")
-# What begins a command: drawings of a block without a language do not.
+# First words of commands; drawings in blocks without a language have others.
 COMMANDS = (*PROGRAMS, "cd", "git", "mkdir", "pip", "python")
 _BLOCK = re.compile(
     r"(?P<notes>(?:^<!-- [^\n]* -->\n+)*)^```(?P<kind>\w*)\n(?P<text>.*?)^```", re.M | re.S

@@ -85,7 +85,7 @@ def first_diagnosis(page, _):
 
 
 def rest_deflection(_, answers):
-    """Of either record, by whether the camera was used as well as the deflection."""
+    """The causes of both records, with and without the camera."""
     for with_camera in (False, True):  # residual strain shows at rest
         strained = answers["strained", with_camera]
         assert strained["cause"] == ["residual_strain"] and strained["where"]["phase"] == "rest"
@@ -108,7 +108,7 @@ CHECKS = {"docs/how_to/ten_tasks.md": ten_tasks,
           "docs/tutorials/first_diagnosis.md": first_diagnosis}  # fmt: skip
 
 
-def test_what_is_not_run_is_little_and_says_why():
+def test_few_blocks_are_not_run_and_each_says_why():
     left_out = [(name_of(p), b.not_run) for p in PAGES for b in blocks_of(p) if b.not_run]
     left_out += ELSEWHERE.items()
     assert len(PLAYED) >= 15 and len(left_out) <= MOST_NOT_RUN

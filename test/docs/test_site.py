@@ -64,7 +64,7 @@ def test_commands_nodes_and_functions_are_what_the_package_says_of_them(site):
     assert [said for said in (*api.__all__, "Raises InputError") if said not in python] == []
 
 
-def test_pages_are_as_they_are_meant(site):
+def test_pages_have_their_equations_notebook_and_tables(site):
     # Equations in the page itself, with their source to be read aloud.
     for page, least in (("explanation/model", 9), ("effects", 17), ("diagnosis", 3)):
         text = (site / f"{page}.html").read_text()

@@ -78,7 +78,7 @@ def test_every_walk_of_the_page_is_played():
 
 
 @pytest.mark.parametrize("walk", PLAYED)
-def test_a_walk_goes_where_the_page_says(walk, bag, monkeypatch):
+def test_a_walk_calls_the_files_that_the_page_names(walk, bag, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "1")  # what threads call is not looked at
     named, work = walks()[walk], PLAYED[walk](bag)
     work()  # imports and first-time work apart
@@ -87,6 +87,6 @@ def test_a_walk_goes_where_the_page_says(walk, bag, monkeypatch):
     assert [name for name in called if name in named] == named
 
 
-def test_the_ten_files_are_there():
+def test_the_ten_files_exist():
     story = re.findall(r"^\d+\. `(.*?)`", PAGE.read_text(), re.MULTILINE)
     assert len(story) == 10 and all((PACKAGE / name).is_file() for name in story)

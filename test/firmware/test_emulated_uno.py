@@ -89,7 +89,7 @@ def test_binary_telemetry_at_500_hz_loses_nothing_while_driving(host):
     assert host.uno.electrics.longest_blocked < 2 * BYTE
 
 
-def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(host):
+def test_a_burst_of_a_delayed_host_is_received_to_the_last_byte(host):
     """The bytes of 0.24 s arrive at once, because the host or its cable was delayed."""
     host.arm()
     host.say("B", 500)
@@ -172,7 +172,7 @@ def test_the_usb_voltage_and_the_source_change_no_resistance(host):
     assert int(host.named("S", "S")["reference_mv"]) == pytest.approx(4750, abs=2)
 
 
-def test_what_a_weak_supply_could_not_carry_is_forgotten_when_armed_anew(host):
+def test_arming_again_clears_the_overload_of_a_weak_supply(host):
     host.uno.electrics.supply_limit = 2.0  # 3 V left in a pulse: no duty makes 5 V of it
     host.uno.electrics.resistance[0] = 1.5
     host.arm()
@@ -302,7 +302,7 @@ def test_a_broken_switch_is_found_when_the_relay_closes_and_while_it_drives(host
     assert last_cause(host) == "current with all outputs off"
 
 
-def test_behind_a_welded_relay_it_says_that_current_still_flows(host):
+def test_behind_a_welded_relay_the_device_reports_current_that_still_flows(host):
     host.uno.electrics.relay_is = Relay.WELDED
     host.uno.electrics.switch_is[0] = Switch.STUCK_ON
     host.run(0.2)

@@ -6,7 +6,7 @@ from collections import Counter
 from examination.check.power_cuts import LOST, CutUno, Report, verdict
 
 
-def test_at_no_cut_of_the_power_the_reason_is_a_wrong_one(uno):
+def test_no_power_cut_makes_the_stored_reason_wrong(uno):
     chain = CutUno(uno, random.Random(7))
     found = [chain.cut() for _ in range(30)]
     assert [one["told"] for one in found if one["told"]] == []
@@ -15,7 +15,7 @@ def test_at_no_cut_of_the_power_the_reason_is_a_wrong_one(uno):
     assert sum(one["storing"] for one in found) > 3
 
 
-def test_whatever_was_not_there_is_called_wrong():
+def test_a_report_that_was_never_stored_counts_as_wrong():
     before, now, lost = Report(2, 1.5, False), Report(1, 0.7, True), Report(LOST, 0.0, True)
 
     def outcome(said, may=True, must=False, was=before):

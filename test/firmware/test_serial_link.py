@@ -110,7 +110,7 @@ def test_a_link_knows_its_device_and_its_clock_and_keeps_a_second_host_out(link,
     assert link.status.connected
 
 
-def test_only_what_is_armed_is_driven_and_every_stop_is_latched_with_its_cause(bench, link):
+def test_only_an_armed_device_drives_and_every_stop_is_latched_with_its_cause(bench, link):
     link.refuses_to_drive()
     drive(link, bench)
     link.stop()
@@ -140,7 +140,7 @@ def test_only_what_is_armed_is_driven_and_every_stop_is_latched_with_its_cause(b
         ("D", "Accepted(letter='D', value=0)"),
     ],
 )
-def test_what_another_host_asks_is_noticed(bench, link, body, answer):
+def test_requests_of_another_host_are_noticed(bench, link, body, answer):
     for _ in range(20):
         drive(link, bench)
         assert link.status.unasked == ""
@@ -161,7 +161,7 @@ def test_what_another_host_asks_is_noticed(bench, link, body, answer):
     assert link.status.unasked == ""
 
 
-def test_pulled_cable_is_told_and_comes_back_disarmed(host_library):
+def test_an_unplugged_cable_is_reported_and_comes_back_disarmed(host_library):
     paths = [""]
     with linked(lambda: paths[-1]) as link:
         for connections in (1, 2):
@@ -179,7 +179,7 @@ def test_pulled_cable_is_told_and_comes_back_disarmed(host_library):
                 link.arm()
 
 
-def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(monkeypatch):
+def test_a_process_suspended_after_a_complete_write_is_no_broken_port(monkeypatch):
     device, host = pty.openpty()
     port, write = serial_link.open_port(os.ttyname(host)), os.write
 
@@ -299,7 +299,7 @@ def failure(data):
         (failure, "ZeroDivisionError: nobody thought of this"),
     ],
 )
-def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
+def test_any_end_of_the_connection_is_reported_and_the_stop_byte_is_sent(
         bench, link, change, said):
     for _ in range(20):
         drive(link, bench)
@@ -314,7 +314,7 @@ def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
     assert f"not connected: {said}" in link.events
 
 
-def test_frames_from_before_an_answer_are_no_news_after_it(link):
+def test_frames_from_before_an_answer_are_not_used_after_it(link):
     """On a busy machine one read returns both."""
     wait_for(lambda: link.readings)
     # Lets the caller continue while a frame is processed; shorter than the period of frames, or
@@ -333,7 +333,7 @@ def test_frames_from_before_an_answer_are_no_news_after_it(link):
             assert not link.status.stopped
 
 
-def test_an_answer_that_is_late_is_no_other_hosts(link, monkeypatch):
+def test_a_late_answer_is_not_taken_for_one_to_another_host(link, monkeypatch):
     send = link._send_command
 
     def late(letter, *numbers):

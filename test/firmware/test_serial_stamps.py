@@ -75,7 +75,7 @@ def driving(uno, every, lost=None):
 
 
 @pytest.mark.parametrize("lost", [0, 1, 9, -6, -2, -1])
-def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(uno, lost):
+def test_a_command_that_lost_a_byte_is_repeated_before_the_timeout(uno, lost):
     """The driver is so slow that its own next command would come too late."""
     with driving(uno, 12, lost) as drive:
         status = drive.link.status
@@ -84,7 +84,7 @@ def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(uno, lost):
                                        for reason in ("bad format", "wrong checksum")}
 
 
-def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno):
+def test_commands_of_a_late_driver_are_repeated_but_not_those_of_a_hung_one(uno):
     with driving(uno, 22) as drive:
         sent, commands = drive.sent, drive.commands
         drive.hung = True

@@ -148,7 +148,7 @@ def test_nothing_is_driven_before_somebody_enables(bench):
     assert silent.pass_time(0.1) == "" and silent.link.sent[-1] == [0, 0, 0, 0]
 
 
-def test_what_a_sensor_says_of_nothing_is_no_current_of_a_wire_that_gets_little():
+def test_an_offset_of_a_sensor_is_no_current_in_a_wire_at_a_small_duty():
     """At 1.2 V (a duty of 0.01) an offset of 0.08 A of the board looks like 0.8 A in its wire."""
     bench = Bench()
     assert bench.pass_time(1.0, leak=0.08) == ""
@@ -206,7 +206,7 @@ STOPS = [  # what happens to a bench that is driven with 3 V, and the reason
 
 
 @pytest.mark.parametrize(("wrong", "reason"), STOPS, ids=[reason for _, reason in STOPS])
-def test_what_breaks_a_rule_stops_and_says_why_until_it_is_reset(driving, wrong, reason):
+def test_a_broken_rule_stops_with_its_reason_until_a_reset(driving, wrong, reason):
     if callable(wrong):
         wrong(driving)
         found = driving.driver.tick(driving.now)
@@ -231,7 +231,7 @@ def test_too_much_power_and_too_many_volts_stop_and_without_feedback_nothing_beg
     Bench(seconds=0.0).refuses("no feedback: wire/power was never received")
 
 
-def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(bench):
+def test_enabling_runs_the_self_test_first_unless_it_was_run_or_is_waived(bench):
     """The self-test refuses a driven bench, and finds a stop that fails and a stuck switch."""
     assert bench.driver.tested == "due"
     found = bench.driver.self_test()
@@ -254,7 +254,7 @@ def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(benc
     assert Bench(waiver="no relay here").driver.tested == "waived: no relay here"
 
 
-def test_what_is_late_is_asked_again_at_rest_but_not_for_ever(bench):
+def test_a_late_answer_is_requested_again_at_rest_but_not_for_ever(bench):
     for letter in "CAR":
         bench.link.late[letter] = 2
         bench.driver.enable(bench.now)
@@ -269,7 +269,7 @@ def test_what_is_late_is_asked_again_at_rest_but_not_for_ever(bench):
         bench.link.late.clear()
 
 
-def test_what_is_wrong_is_not_asked_again_and_without_a_device_nothing_is(bench):
+def test_a_wrong_answer_is_not_requested_again_and_without_a_device_nothing_is(bench):
     bench.link.stuck = True
     assert not bench.driver.self_test()[-2].passed and bench.link.armings == 1
     bench.link.stuck, bench.link.armed = False, True
@@ -317,7 +317,7 @@ def test_the_device_gets_the_rigs_limits_within_its_own_and_one_beyond_is_refuse
         beyond.refuses("maximum_voltage is 12 V, the device allows 10 V")
 
 
-def test_current_with_all_outputs_off_stops_and_shouts_until_it_ends(bench):
+def test_current_with_all_outputs_off_stops_and_is_reported_until_it_ends(bench):
     assert "0.50 A through the front board with its outputs off" in bench.pass_time(0.5, leak=0.5)
     assert bench.driver.state.startswith("still flowing: pull the plug (0.50 A")
     assert bench.link.sent[-1] == "stop"

@@ -23,7 +23,7 @@ def read(duty=(0.0, 0.0, 0.0, 0.0), front=0.0, back=0.0, ranges=(1.5, 1.5), side
     return BenchSensors(sides, SETTINGS | settings).reading(telemetry)
 
 
-def test_stated_errors_cover_the_truth():
+def test_stated_errors_cover_the_true_values():
     random = np.random.default_rng(1)
     readings, name = np.linspace(0.0, 3.0, 7), "calibration.front_current"
     within = {"gain": 0, "offset": 0}

@@ -114,7 +114,7 @@ def test_guard_without_a_camera_goes_by_the_model_only_where_no_temperature_come
 
 
 @pytest.mark.parametrize("volt", [INF, -INF, 3e38, -3e38])
-def test_one_reading_beyond_all_measure_does_not_blind_the_model_rule(volt):
+def test_one_impossible_reading_does_not_disable_the_rule_of_the_model(volt):
     """A wire that stays cold at 6 V for 12 s is a fault, whatever single reading came before; a
     wire that warms as modelled is not."""
     bench, found = Bench(), ""
@@ -132,7 +132,7 @@ def test_one_reading_beyond_all_measure_does_not_blind_the_model_rule(volt):
 
 
 @pytest.mark.parametrize("wrong", [NAN, INF, -INF])
-def test_what_is_no_number_makes_nothing_fresh(wrong):
+def test_nan_and_infinity_are_no_fresh_reading(wrong):
     bench = Bench("ab")
     assert bench.read(1.0, 1.0, 0.5, 300.0) == ""
     for k in range(1, 30):
@@ -200,7 +200,7 @@ def test_a_deviation_must_last_without_a_gap():
     assert noted(1.0, 1.1) == noted(2.0, 1.2) == noted(2.0, 20.0) == {}
 
 
-def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disagrees():
+def test_a_wire_with_the_commanded_voltage_is_no_fault_and_one_with_another_disagrees():
     """Also at small voltages; broken and shorted wires are found by their resistance."""
     for commanded, volt, ampere in ((3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0),
                                     (8.0, 8.45, 8.45 / R)):
@@ -255,7 +255,7 @@ def test_the_model_heats_as_equation_1_with_its_leads():
     assert powered(volt, volt, ampere, limits=limits) == ""
 
 
-def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
+def test_without_a_camera_a_wire_is_as_hot_as_its_readings_allow():
     rest, hot = (0.0, 0.0, 2.0), (8.0, 8.0 / R, 0.1)
     for celsius, *readings in (
         (17, rest, (8.0, 8.0 / R, 2.0)),
@@ -279,7 +279,7 @@ def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
     assert reason.startswith("over-temperature by the model: wire at 21")
 
 
-def test_a_wire_that_aged_and_that_nobody_sees_is_as_hot_as_what_it_takes():
+def test_without_a_camera_an_aged_wire_is_as_hot_as_its_power_makes_it():
     """A new wire would reach 161 degC at 7.7 V. A missing current is replaced by the last measured
     one, for a second."""
     rest, aged, dumb = (0.0, 0.0, 2.0), 7.7 / (1.2 * R), (7.7, NAN, 0.02)
@@ -318,7 +318,7 @@ def test_pulses_between_two_readings_heat_as_they_were_sent():
     assert held.modelled == pytest.approx(LIMITS.warmed(LIMITS.ambient, 8.0, 1.0), abs=0.1)
 
 
-def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told():
+def test_a_camera_that_sees_no_warming_disagrees_and_a_too_fast_warming_is_reported():
     bench = Bench(feedback=[])
     assert all(bench.read(0.1 * k, kelvin=400.0) == "" for k in range(50))
     bench, reasons = Bench(feedback=[]), []
@@ -337,7 +337,7 @@ def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told(
         assert bench.read(now, kelvin=kelvin) == fault
 
 
-def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees_none_of_it():
+def test_an_aged_wire_in_a_cold_room_and_a_draught_is_not_taken_for_a_blind_camera():
     """The heat follows from its current, and its temperature at rest is the room's, within 20 K."""
     aged, draught, room = 1.2 * R, 1.7, LIMITS.ambient - 18.0
     rise = 7.7**2 / aged / LIMITS.heat_loss

@@ -32,7 +32,7 @@ def test_checksum_and_documented_session_are_valid():
             decode(body)
 
 
-def test_messages_are_decoded_and_what_is_none_is_refused():
+def test_messages_are_decoded_and_other_bytes_are_refused():
     """Text and binary telemetry decode to the same values."""
     expected = Telemetry(sequence=57, time_us=3210000, state=1, cause=0,
                          supply=pytest.approx(12.003), current=pytest.approx((-0.102, 0.0)),

@@ -39,17 +39,17 @@ def test_band_radiance_is_plancks_law_and_pixels_are_tenths_of_a_degree():
     assert slope == pytest.approx(np.diff(band([349.0, 351.0]))[0] / 2.0, rel=1e-4)
 
 
-def test_emissivity_and_reflection_are_undone_and_the_deviation_is_that_of_many_draws():
+def test_emissivity_and_reflection_are_corrected_and_the_error_is_that_of_many_draws():
     for emissivity, reflected in ((1.0, 280.0), (0.3, 320.0)):
         apparent = emissivity * thermal_scene.radiance(360.0)
         apparent += (1 - emissivity) * thermal_scene.radiance(reflected)
         kelvin, std = Surface(emissivity, reflected).temperature(float(apparent), 0.0)
         assert kelvin == pytest.approx(360.0, abs=1e-3) and std == 0.0
     random = np.random.default_rng(5)
-    believed = Surface(0.3, 300.0, emissivity_std=0.01, reflected_std=1.5)
+    surface = Surface(0.3, 300.0, emissivity_std=0.01, reflected_std=1.5)
     apparent = float(Surface(0.3, 300.0).apparent(370.0))
     noise = 0.02 * thermal_image.slope_at(370.0)
-    kelvin, std = believed.temperature(apparent, noise)
+    kelvin, std = surface.temperature(apparent, noise)
     drawn = [
         Surface(0.3 + 0.01 * a, 300.0 + 1.5 * b).temperature(apparent + noise * c, 0.0)[0]
         for a, b, c in random.standard_normal((2000, 3))

@@ -52,7 +52,7 @@ def errors(found, kelvin=HOT):
 # --- the fill factor
 
 
-def test_a_bent_background_is_in_the_deviation():
+def test_a_curved_background_is_in_the_standard_error():
     columns = np.arange(WIDTH) - 30.0
     for background, low, high in ((0.1 * columns, -0.1, 0.1), (0.01 * columns**2, -8.0, -1.0)):
         wall = np.broadcast_to(ROOM + background, (HEIGHT, WIDTH))
@@ -73,7 +73,7 @@ def test_a_wide_wire_needs_no_correction_a_thin_one_does_and_a_wrong_width_is_se
     assert abs(near.kelvin - HOT) == pytest.approx(near.std, rel=0.3)
 
 
-def test_the_ends_of_the_range_and_a_second_wire_are_told():
+def test_the_ends_of_the_range_and_a_second_wire_are_reported():
     for limit, said in (({"highest": 373.15}, "100 degC"), ({"lowest": 300.0}, "26.85 degC")):
         found = reading(scene(UPRIGHT, 4.0, 420.0), optics(4.0, **limit))
         assert f"end of the camera's range ({said})" in found.reason and found.seen
@@ -216,7 +216,7 @@ def gauge(cold=True):
     return WireGauge(whole(200, 60), optics(), BLACK, cold)
 
 
-def test_an_unseen_wire_is_its_background_only_with_leave(camera):
+def test_an_unseen_wire_has_the_temperature_of_its_background_only_if_that_is_allowed(camera):
     assert "no wire stands out" in gauge(cold=False).read(camera.picture([ROOM]), 0.0).reason
     own = gauge()
     found = own.read(camera.picture([ROOM]), 0.0)
@@ -227,7 +227,7 @@ def test_an_unseen_wire_is_its_background_only_with_leave(camera):
     assert all(own.read(camera.picture([warm]), k * FRAME).seen for k in range(20))
 
 
-def test_a_cooling_wire_is_read_all_the_way_and_a_hot_one_is_lost_unless_it_can_have_cooled(camera):
+def test_a_cooling_wire_is_read_throughout_and_a_hot_one_is_lost_unless_it_can_have_cooled(camera):
     own = gauge()
     for k in range(160):
         kelvin = ROOM + 60.0 * math.exp(-k * FRAME / 0.2)

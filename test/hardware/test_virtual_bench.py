@@ -200,7 +200,7 @@ def test_every_command_is_worth_one_slice_whatever_the_delays(delays):
     assert simulation.slices - begin == len(delays)
 
 
-def test_a_driver_that_left_or_is_slow_is_waited_for_no_longer_than_its_patience():
+def test_a_simulation_waits_for_a_lost_or_slow_driver_only_for_its_patience():
     simulation = Simulation(100.0)
     begin = simulation.run(0.1)
     simulation.command()

@@ -111,7 +111,7 @@ def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
     (1.0, (0.0, 9.0), 0, False), (0.06, (0.0, 9.0), 0, False), (1.0, (0.9, 9.0), 0, False),
     (1.0, (0.0, 0.7), 0, True), (1.0, (1.2, 9.0), 0, True), (0.06, (9.0, 9.0), 15, True)])
 @pytest.mark.parametrize("rest", [0.0, 0.5])
-def test_a_run_too_brief_for_the_rule_of_its_volts_to_break_is_not_done_without_them(
+def test_a_run_too_short_for_the_rule_of_voltages_is_not_done_without_its_voltages(
         drive, deaf, late, is_done, rest):
     """Voltages that never appear, or disappear at the end (hidden by a rest); late readings."""
     bench = Bench({"name": "brief", "steps": [{"kind": "hold", "level": 3.0, "duration": drive},
@@ -130,7 +130,7 @@ def test_a_run_too_brief_for_the_rule_of_its_volts_to_break_is_not_done_without_
         bench.run.reset()
 
 
-def test_a_pulse_between_two_readings_is_done_though_no_reading_shows_it():
+def test_a_run_with_a_pulse_between_two_readings_is_done_though_no_reading_shows_it():
     bench = Bench({"name": "brief", "steps": [
         {"kind": "rest", "duration": 0.18}, {"kind": "hold", "level": 3.0, "duration": 0.06},
         {"kind": "rest", "duration": 0.3}]})

@@ -283,7 +283,7 @@ FAULTS = {
         for hazard, detection, _, off_within, cell in rows("Each fault") for name in [cell[1:-1]]
     ],
 )  # fmt: skip
-def test_outputs_go_to_zero_in_time_and_the_cause_is_told(
+def test_outputs_go_to_zero_in_time_and_the_cause_is_shown(
     request, bench, uno, hazard, detection, limit, name
 ):
     made = FAULTS[name]

@@ -75,7 +75,7 @@ def test_nodes_of_one_process_run_record_and_work_as_ever_and_their_bag_is_on_on
 
 
 @pytest.mark.parametrize("how", ["a signal", "a node that fails"])
-def test_one_end_is_that_of_all_at_0_v_with_a_whole_bag(bench, tmp_path, how):
+def test_the_end_of_one_node_ends_all_at_0_v_with_a_whole_bag(bench, tmp_path, how):
     commands, states = bench.hear("voltage_command", "experiment/state")
     node = container(bench, tmp_path, WARM, "diagnosis", speed=4.0)
     bench.until(lambda: commands and commands[-1].data[0] == 3.0, PATIENCE)
@@ -99,7 +99,7 @@ def test_one_end_is_that_of_all_at_0_v_with_a_whole_bag(bench, tmp_path, how):
     assert volts.max() == 3.0 and volts.reshape(-1)[-1] == 0.0
 
 
-def test_where_one_cannot_be_made_none_starts_and_the_line_names_it(bench, tmp_path):
+def test_if_one_node_cannot_be_created_none_starts_and_the_line_names_it(bench, tmp_path):
     bad = ["ir_camera", "-p", "statistic:=mode"]
     node = container(bench, tmp_path, WARM, *bad)
     assert node.ended_with(2, "[ir_camera]: statistic: 'mode', expected mean, median, hottest")

@@ -32,7 +32,7 @@ QOS = "qos_overrides./bench/{}.reliability:=best_effort"
 CHANNELS = ("front_1", "back_1")
 # Required parameters, and images that render quickly.
 FILLED = ("-p", "regions:=['', '', '', '']", "-p", "image_width:=96", "-p", "image_height:=72")
-# Nodes whose parameters cannot change while they run.
+# Nodes whose parameters of the bench cannot change while they run.
 FROZEN = ("simulator", "serial_bridge", "ir_camera")
 CHANGES = yaml.safe_load(Path(__file__).with_name("changes.yaml").read_text())
 
@@ -163,7 +163,7 @@ def test_what_param_dump_writes_param_load_sets_and_whatever_is_set_is_answered_
                 node.set_parameters([RosParameter(parameter, value=usual)])
 
 
-def test_every_node_says_once_that_it_is_ready_how_it_does_and_its_name_where_it_cannot_be(
+def test_every_node_reports_ready_once_and_its_status_and_its_name_if_it_cannot_start(
     bench, tmp_path
 ):
     def speaking():
@@ -216,7 +216,7 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
     ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
     ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
 ])  # fmt: skip
-def test_a_node_that_cannot_be_so_says_why_in_one_line(make, name, given, said):
+def test_a_node_refuses_impossible_parameters_in_one_line(make, name, given, said):
     with pytest.raises(InputError, match=f"^[^\n]*{said}[^\n]*$"):
         node = make(name, "-p", given)
         raise node.failure or AssertionError("it can")

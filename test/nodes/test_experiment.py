@@ -69,7 +69,7 @@ def test_a_clock_of_finer_steps_than_the_commands_has_one_command_a_period(bench
     assert 55 <= len(fake.commands) - sent <= 62  # 60, and 50 if each period began with its command
 
 
-def test_limits_and_clock_stay_and_whoever_says_that_something_is_wrong_ends_the_run(
+def test_limits_and_clock_stay_and_any_report_of_a_fault_ends_the_run(
     bench, protocol
 ):
     """The rules are tested in test/live; here, that each topic and service takes effect."""

@@ -83,7 +83,7 @@ def readings():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*REFERENCES, "twin"])
-def test_whatever_is_set_and_said_a_node_that_drives_answers_and_its_run_goes_on_or_ends_cold(
+def test_a_driving_node_answers_hostile_values_and_messages_and_its_run_continues_or_ends_at_0_v(
     bench, name
 ):
     driven = Driven(bench, name)

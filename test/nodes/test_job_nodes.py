@@ -153,7 +153,7 @@ def test_a_task_has_what_was_given_and_its_failures_are_one_line():
     assert heard == [(0.5, f"{settings} {given.given} {{'wire.mass': 1e-06}}")]
 
 
-def test_work_is_no_more_urgent_than_any_though_the_node_that_asks_for_it_is():
+def test_work_has_usual_priority_though_its_node_has_a_higher_one():
     """As for a node that shares its process with one that drives."""
 
     def ask():

@@ -96,7 +96,7 @@ def test_every_launch_file_simulates_its_rig_with_a_protocol_that_fits_it(built)
 
 @pytest.mark.parametrize("rig", [WIRE, COMPOSITE], ids=["wire", "composite"])
 @pytest.mark.parametrize("words", CASES["nodes"])
-def test_a_bench_is_what_its_arguments_say_and_every_node_knows_its_parameters(rig, words):
+def test_arguments_choose_the_nodes_of_a_bench_and_every_node_knows_its_parameters(rig, words):
     expected = CASES["nodes"][words].replace("rest", " ".join(REST)).split()
     arguments = dict(word.split(":=") for word in words.split())
     nodes = plan_bench(rig, arguments)
@@ -172,7 +172,7 @@ def bag(tmp_path):
 
 
 @pytest.mark.parametrize("words", CASES["refused"])
-def test_what_cannot_be_started_or_played_is_one_line(words, bag, monkeypatch):
+def test_a_bench_or_replay_that_cannot_start_is_refused_in_one_line(words, bag, monkeypatch):
     changed, said = dict(word.split(":=") for word in words.split()), CASES["refused"][words]
     monkeypatch.chdir(bag.parent)
     with pytest.raises(InputError, match=f"^[^\n]*{re.escape(said)}[^\n]*$"):

@@ -110,7 +110,7 @@ start.simulator(sys.argv[1:])
 """
 
 
-def test_one_that_compiles_still_ends_at_once_and_leaves_the_graph(bench):
+def test_a_simulator_that_still_compiles_ends_at_once_and_leaves_the_graph(bench):
     """As at the first start after an installation."""
     node = bench.run("compiles", ["-c", COMPILES_FOR_LONG, "--ros-args", "-r", "__ns:=/bench"])
     bench.until(lambda: "waits for the comp" in node.output, 120.0)

@@ -109,7 +109,7 @@ def test_after_an_interrupted_setup_commands_run_at_once_and_what_is_needed_come
 
 
 @pytest.mark.slow
-def test_package_that_does_not_exist_is_told_in_short(house, tmp_path):
+def test_a_package_that_does_not_exist_is_reported_briefly(house, tmp_path):
     made = environment(house)
     house = make_house(tmp_path / "house", NOT_THERE)
     # A copy of an environment, as it takes seconds to make one.
@@ -204,7 +204,7 @@ UNUSABLE = {"is Python 3.9": "echo 3.9",
 
 
 @pytest.mark.parametrize("reason", [*UNUSABLE, "expected one of units", "cannot set up"])
-def test_what_cannot_be_done_is_one_line_before_any_setup(reason, tmp_path):
+def test_an_impossible_call_is_refused_in_one_line_before_any_setup(reason, tmp_path):
     house, words, python = make_house(tmp_path / "house"), ["x"], sys.executable
     if reason in UNUSABLE:
         python = str(tmp_path / "python3")

@@ -14,7 +14,7 @@ PERF = Path(__file__).parents[2] / "examination" / "perf" / "perf.py"
 
 
 @pytest.mark.slow
-def test_every_section_holds_the_package_against_what_one_would_pick(tmp_path, ros_domain):
+def test_every_section_compares_the_package_with_the_usual_alternative(tmp_path, ros_domain):
     file, sections = tmp_path / "perf.json", ["simulation", "reading", "commands", "nodes"]
     words = [sys.executable, str(PERF), *sections, "--tiny", "--json", str(file)]
     process = subprocess.run(words, capture_output=True, text=True, check=False)

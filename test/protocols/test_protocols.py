@@ -158,7 +158,7 @@ def test_isobaric_hangs_a_wire_under_the_papers_force_unless_the_bench_has_a_loa
     refused("load is 'rope', expected clamped, displacement", parse_protocol, rope, COMPOSITE)
 
 
-def test_steps_say_what_force_the_frame_comes_to():
+def test_steps_set_the_force_that_the_frame_reaches():
     steps = [{"kind": "rest", "name": "pull", "duration": 10.0, "force": 20.0},
              {"kind": "rest", "name": "wait", "duration": 5.0},
              {"kind": "rest", "name": "release", "duration": 5.0, "force": 0.0}]  # fmt: skip
@@ -232,7 +232,7 @@ def test_settled_means_no_slope_above_the_noise():
 
 @pytest.mark.parametrize(("settled", "ends"), [("deflection", True), ("temperature", False),
                                                (True, False)])
-def test_only_what_a_step_says_has_to_settle(settled, ends):
+def test_only_quantities_named_by_a_step_must_settle(settled, ends):
     waiting = Waiting(parse_protocol({"steps": [hold(2.0, 60.0, {"settled": settled})]}, WIRE))
 
     def is_over(time):

@@ -1,4 +1,4 @@
-"""What grows in a node is found: by the soak's slope, and in seconds in the recorder itself."""
+"""Memory leaks are found: in a node by the soak's slope, in the recorder within seconds."""
 
 import gc
 import time
@@ -17,7 +17,7 @@ from sma_bench.ros.node import READINGS  # noqa: E402
 MESSAGES_AN_HOUR = 3600 * 281  # of a wire's bench: 100, 80, 100 and 1 Hz
 
 
-def test_a_recorder_keeps_nothing_of_a_message(ros_domain, tmp_path, monkeypatch):
+def test_a_recorder_holds_no_memory_of_a_message(ros_domain, tmp_path, monkeypatch):
     rclpy.init(args=["--ros-args", "-r", "__ns:=/bench", "-p", f"output:={tmp_path / 'bag'}"])
     talker = rclpy.create_node("talker")
     publisher = talker.create_publisher(BatteryState, "/bench/wire/power", READINGS)
@@ -39,8 +39,8 @@ def test_a_recorder_keeps_nothing_of_a_message(ros_domain, tmp_path, monkeypatch
         end = time.monotonic() + 30.0
         while not publisher.get_subscription_count() and time.monotonic() < end:
             look()
-        # As the executor calls it: what publishers and middleware keep is for the soak to find. A
-        # pool of some 100 kB for texts on their way out is renewed for minutes, and is no growth.
+        # Called as by the executor. The soak checks memory of publishers and middleware: their pool
+        # of some 100 kB for outgoing texts is renewed for minutes, which is no growth.
         for talks in recorder.publishers:
             monkeypatch.setattr(talks, "publish", lambda message: None)
         (take,) = [s.callback for s in recorder.subscriptions if "power" in s.topic_name]

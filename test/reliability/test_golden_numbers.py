@@ -11,7 +11,7 @@ from examination.check import golden
 ONE_RESULT = ("simulate", "--only", "plain, wire", "--jobs", "1")
 
 
-def test_one_that_moved_or_ends_badly_fails_where_it_was_kept(tmp_path, capsys, monkeypatch):
+def test_a_changed_number_fails_and_a_failed_command_too(tmp_path, capsys, monkeypatch):
     def again(*more):
         status = golden.main([*ONE_RESULT, *more])
         return status, capsys.readouterr().out

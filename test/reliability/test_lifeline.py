@@ -112,7 +112,7 @@ def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself_and_leave
 
 
 @pytest.mark.parametrize(("number", "after"), [(signal.SIGINT, 0.25), (signal.SIGTERM, 0.6)])
-def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, after):
+def test_repeated_signals_end_a_node_silently_at_any_moment(tmp_path, ros_domain, number, after):
     log = tmp_path / "log"
     with log.open("wb") as stream:
         command = [sys.executable, "-c", SAYS_WHEN_IT_IS_READY, "experiment"]

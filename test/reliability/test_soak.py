@@ -20,7 +20,7 @@ SOUND = replace(WORLD, room=CELSIUS_ZERO + 5.0, draught=0.0, age=(1.2,) * 4, aus
     ("four wires", 60.0, {"errors": (0.0, 0.8, 0.0, 0.0, 0.0)}, "over-current: front_1"),
     ("firmware", 240.0, {"errors": (0.0, 0.0, 0.0, 0.4, 0.0)}, "device: "),
 ])  # fmt: skip
-def test_a_sound_bench_is_let_be_and_one_that_is_not_is_cut(kind, seconds, unsound, said):
+def test_a_bench_is_switched_off_with_a_fault_and_not_without(kind, seconds, unsound, said):
     if kind == "firmware" and shutil.which("cc") is None:
         pytest.skip("no C compiler (cc) here")
     assert soak.PLAYS[kind](SOUND, 1, seconds) == []

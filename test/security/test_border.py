@@ -147,7 +147,7 @@ def test_files_are_replaced_together_or_not_at_all_and_keep_mode_and_link(tmp_pa
 
 
 @pytest.mark.parametrize("text", hostile("topics"), ids=lambda text: text[:20].encode().hex())
-def test_a_hostile_text_is_read_or_left_in_one_line(text):
+def test_a_hostile_text_is_read_or_refused_in_one_line(text):
     ros = pytest.importorskip("sma_bench.ros.dashboard", reason="ROS 2 is not installed")
     assert len(recorder_failure(text)) <= 501
     state = recorder_state(text)

@@ -64,7 +64,7 @@ def test_a_word_or_a_switch_that_asks_for_the_network_opens_it_and_a_users_profi
         assert PROFILE not in processes.discovery_variables(network, {PROFILE: "own.xml"})
 
 
-def test_what_has_no_effect_is_said_and_a_private_bench_forgets_what_would_open_it(
+def test_an_ignored_switch_is_reported_and_a_private_bench_drops_variables_that_would_open_it(
     capsys, monkeypatch
 ):
     chosen({"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"})

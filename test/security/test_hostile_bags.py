@@ -111,7 +111,7 @@ ODD_STAMPS = "UPDATE messages SET timestamp = {} WHERE rowid % 7 = 3"
     (ENTERED_VIEW, "refused: .*(messages is no|malformed)", 0),
     ((ODD_STAMPS.format("'now'"),), "", 17), ((ODD_STAMPS.format("1e308"),), "", 17),
 ])  # fmt: skip
-def test_messages_that_a_program_makes_are_refused_and_stamps_are_integers(
+def test_messages_made_by_sql_code_are_refused_and_stamps_are_integers(
     db3, statements, said, readings
 ):
     import sma_bench.compiled  # noqa: F401, with it rows are joined
@@ -210,7 +210,7 @@ def test_a_pipe_is_no_bag(tmp_path):
 
 
 @pytest.mark.parametrize(("step", "last", "most"), [(1000.0, 99e3, 5e4), (0.05, 1e9, 5e6)])
-def test_a_grid_has_an_end_whatever_the_times(step, last, most):
+def test_the_size_of_a_grid_is_limited_whatever_the_times(step, last, most):
     """For a few readings over a day, or one at a distant time, cells get wider, not more."""
     count = np.arange(1200 if step < 1.0 else 100)
     time = np.append(count[:-1] * step, last)

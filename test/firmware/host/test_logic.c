@@ -422,7 +422,7 @@ TEST(stop_stays_until_reset_and_arming)
     arm();
 }
 
-TEST(arming_again_drives_nothing_of_what_was_driven_before)
+TEST(arming_again_does_not_resume_earlier_commands)
 {
     start_driving();
     uint16_t before = open_session;
@@ -489,7 +489,7 @@ TEST(a_mean_above_its_limit_stops)
     CHECK(is_off_for(FRONT_OVER_CURRENT));
 }
 
-TEST(a_mean_just_below_its_limit_lets_be_and_just_above_stops_either_way)
+TEST(a_mean_just_below_its_limit_does_not_stop_and_one_just_above_stops_in_both_directions)
 {
     for (int way = -1; way <= 1; way += 2) {
         fake_start(1);
@@ -612,7 +612,7 @@ TEST(no_nonce_is_told_before_it_is_asked_for)
     CHECK(fake_nonce());
 }
 
-TEST(a_new_nonce_is_another_whatever_the_converter_gives)
+TEST(a_new_nonce_differs_whatever_the_converter_reads)
 {
     const uint16_t same = 3915; /* 25173 times it and 13849 is 0 */
     fake_start(same);
@@ -655,7 +655,7 @@ TEST(the_relay_is_closed_while_armed_only_and_before_anything_is_driven)
     CHECK(!fake_relay());
 }
 
-TEST(a_switch_that_does_not_open_stops_and_goes_on_shouting)
+TEST(a_switch_that_does_not_open_stops_and_is_reported_until_it_opens)
 {
     fake_start(1);
     fake_set_current(0, 512 + 91); /* 4.44 A */
@@ -684,7 +684,7 @@ TEST(half_an_ampere_more_through_either_board_that_is_off_stops)
     }
 }
 
-TEST(what_flowed_until_a_stop_is_no_stuck_switch)
+TEST(current_until_a_stop_is_no_stuck_switch)
 {
     start_driving();
     fake_set_current(0, 512 + 30); /* 1.5 A */
@@ -730,7 +730,7 @@ TEST(noise_in_the_moment_of_arming_is_no_offset)
     CHECK(safety_now()->state == ARMED);
 }
 
-TEST(an_offset_that_came_just_before_the_arming_is_one_either_way)
+TEST(an_offset_from_just_before_arming_counts_in_both_directions)
 {
     for (int way = -1; way <= 1; way += 2) {
         fake_start(1);
@@ -752,7 +752,7 @@ TEST(an_offset_that_came_just_before_the_arming_is_one_either_way)
     CHECK(safety_now()->state == ARMED);
 }
 
-TEST(what_flowed_until_the_disarming_is_no_offset)
+TEST(current_until_disarming_is_no_offset)
 {
     start_driving();
     fake_set_current(0, 512 + 26); /* 1.27 A */
@@ -802,7 +802,7 @@ TEST(current_beyond_what_the_duties_explain_stops)
     CHECK(is_off_for(UNEXPLAINED_CURRENT));
 }
 
-TEST(what_a_pulse_left_in_a_mean_is_forgotten)
+TEST(long_pulses_of_a_small_duty_are_no_fault)
 {
     fake_start(1);
     arm();
@@ -860,7 +860,7 @@ static uint8_t state_of_a_board_whose_pulse_takes(unsigned mv)
     return safety_now()->state;
 }
 
-TEST(volts_that_a_pulse_takes_from_the_supply_heat_no_wire_but_more_than_an_eighth_is_not_believed)
+TEST(a_supply_that_sags_in_a_pulse_heats_less_but_a_sag_of_more_than_an_eighth_is_not_used)
 {
     CHECK(state_of_a_board_whose_pulse_takes(0) == ARMED);
     CHECK(state_of_a_board_whose_pulse_takes(1000) == ARMED);
@@ -890,7 +890,7 @@ TEST(an_output_that_is_not_as_set_stops)
 }
 
 /* One channel after the other is looked at, eight times: whoever is lucky is seen at the third. */
-TEST(an_output_that_differs_in_three_looks_stops)
+TEST(an_output_that_differs_in_three_checks_stops)
 {
     int soonest = 100;
     for (int begin = 0; begin < 40; begin++) {
@@ -975,7 +975,7 @@ TEST(a_trip_outlasts_the_power_until_it_is_acknowledged_and_so_does_that)
     CHECK(last_is(cause, false, 4));
 }
 
-TEST(what_drove_nothing_and_is_asked_for_is_no_trip_but_a_fault_is)
+TEST(a_requested_stop_without_drive_is_no_trip_but_a_fault_is)
 {
     fake_start(1);
     fake_receive((const uint8_t *)"!", 1);
@@ -1015,7 +1015,7 @@ TEST(a_hung_loop_and_a_restart_while_armed_are_kept_by_the_next_start)
 
 /* Before the power fails: nothing, a trip of which everybody knows, an open one. After it: the trip
  * or acknowledgement that was being stored, what was before, or that something was lost. */
-TEST(a_cut_at_any_byte_leaves_what_was_or_what_is_or_says_that_it_was_lost)
+TEST(a_cut_at_any_byte_leaves_the_old_or_the_new_reason_or_reports_a_lost_one)
 {
     const struct trip lost = {REASON_LOST, true, 0};
     unsigned kept = 0, old = 0, losses = 0;
@@ -1057,7 +1057,7 @@ TEST(a_cut_at_any_byte_leaves_what_was_or_what_is_or_says_that_it_was_lost)
 }
 
 /* Of all that there was since a cut, what was stored as a whole or came later may be found. */
-TEST(whatever_comes_between_two_cuts_no_reason_is_ever_made_up)
+TEST(no_sequence_of_power_cuts_makes_up_a_reason)
 {
     static struct trip noted[1000];
     uint32_t draw = 1, cuts = 0, losses = 0;
