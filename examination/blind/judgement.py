@@ -134,8 +134,8 @@ class Judged:
         # probable first.
         total, credible = 0.0, []
         for candidate in answer.candidates:
-            is_missing = not answer.credible and total < SET_MASS - 1e-9
-            if candidate.name in answer.credible or is_missing:
+            fills_up = not answer.credible and total < SET_MASS - 1e-9
+            if candidate.name in answer.credible or fills_up:
                 credible.append(candidate.parts)
             total += candidate.probability
         in_set = frozenset[str]().union(*credible)

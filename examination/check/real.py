@@ -124,7 +124,7 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
         **{key: float(np.mean(own)) for key, own in scores.items()},
         "not worse": float(np.mean(np.less_equal(scores["ours"], scores["rival"]))),
         "alike": _share(one_set, alike.problem),
-        "with states": _share(fit.left, fit.problem),
+        "with states": _share(fit.residual, fit.problem),
         "repeats": repeatability(fit),
         "laws": {model.law.name: model.law.probability, **model.law.others} if model.law else {}}
 

@@ -24,7 +24,7 @@ from sma_bench.diagnose.result import (
     Verdict,
     Where,
 )
-from sma_bench.diagnose.search import Progress, Search, held_back, search
+from sma_bench.diagnose.search import Progress, Search, excluded_effects, search
 from sma_bench.diagnose.sizes import contribution, decision_inputs, locate, sensors_noise, shrinkage
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
@@ -84,13 +84,13 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     if not records:
         raise InputError("diagnose: no record, expected at least one")
     require_distinct(records, hold_out)
-    # Clocks are repaired; suspect signals are reported and exclude effects.
+    # Clocks are repaired; doubtful signals are reported and exclude effects.
     progress("records")
     ready = prepare((*records, *hold_out), parameters, quantities)
     parameters, lines = with_stated_lag(parameters), ready.remarks
-    if held := held_back(ready.doubted):
-        more = ", ..." * (len(held) > 3)
-        lines.append(f"excluded for that reason: {len(held)} effects, {', '.join(held[:3])}{more}")
+    if out := excluded_effects(ready.doubted):
+        named = ", ".join(out[:3]) + ", ..." * (len(out) > 3)
+        lines.append(f"excluded because of doubtful readings: {len(out)} effects, {named}")
     # The verdict, and the most probable model that can be simulated.
     observed = observe_all(ready.records, parameters, quantities)
     found = search(observed, parameters, progress, ready.doubted)
@@ -142,13 +142,13 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     stage, smooth_input = next(iter(found.inputs.items()))
     if verdict == UNEXPLAINED:
         missing = found.flexible if found.flexible.gain > _FREE_FORM else smooth_input
-        cells = locate(model.problem, missing.response if missing.gain > 0.0 else recalibrated.left)
+        unexplained = missing.response if missing.gain > 0.0 else recalibrated.residual
+        cells = locate(model.problem, unexplained)
     elif acting := cause or model.unknowns.effects:
         cells = locate(model.problem, contribution(model, acting))
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]
-    # To name the quantities that no record holds.
     measured = {quantity for obs in observations for quantity in obs.quantities}
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(

@@ -49,7 +49,7 @@ def residual_test(fitted: Fit) -> ResidualTest:
     problem, found, outlier = fitted.problem, [(-np.inf, "")], 0.0
     rates = [rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))]
     for block, rate in zip(problem.blocks, rates, strict=True):
-        white = problem.noise[block.signal.name].whiten(fitted.left[block.rows])
+        white = problem.noise[block.signal.name].whiten(fitted.residual[block.rows])
         moving = np.abs(rate) > np.median(np.abs(rate))
         if min(moving.sum(), (~moving).sum()) < _FEWEST:
             continue
@@ -81,17 +81,17 @@ def free_response(fitted: Fit) -> SmoothResponse:
 
 def smooth_response(fitted: Fit, features: Array) -> SmoothResponse:
     """Fit features (n, p) with independent Gaussian weights to the residual of a fit."""
-    own = _likelihood(fitted.problem, fitted.left)
+    own = _likelihood(fitted.problem, fitted.residual)
     # Begin with little drift: the noise model of a poor fit has absorbed the residual.
     noises = {name: replace(noise, drift=min(noise.drift, noise.white))
               for name, noise in fitted.problem.noise.items()}
     problem = replace(fitted.problem, noise=noises)
-    best = SmoothResponse(0.0, np.zeros_like(fitted.left))
+    best = SmoothResponse(0.0, np.zeros_like(fitted.residual))
     for _ in range(_ROUNDS):
         # Project out what the fitted unknowns could still absorb.
         rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
         normal = rows.T @ rows + np.eye(rows.shape[1])
-        phi, base = problem.whiten(features), problem.whiten(fitted.left)
+        phi, base = problem.whiten(features), problem.whiten(fitted.residual)
         across = rows.T @ phi
         taken = np.linalg.solve(normal, np.column_stack([across, rows.T @ base]))
         values, vectors = np.linalg.eigh(phi.T @ phi - across.T @ taken[:, :-1])
@@ -101,11 +101,11 @@ def smooth_response(fitted: Fit, features: Array) -> SmoothResponse:
         shrunk = [np.zeros(len(turned)), *(turned / (values + size**-2) for size in _SIZES)]
         gains = np.nan_to_num([0.5 * (turned @ x - np.sum(np.log1p(size**2 * values)))
                                for x, size in zip(shrunk, (0.0, *_SIZES), strict=True)])
-        gain = _likelihood(problem, fitted.left) + float(max(gains)) - own
+        gain = _likelihood(problem, fitted.residual) + float(max(gains)) - own
         response = features @ (vectors @ shrunk[int(np.argmax(gains))])
         if gain > best.gain:
             best = SmoothResponse(gain, response)
-        problem = problem.with_noise(fitted.left - response)
+        problem = problem.with_noise(fitted.residual - response)
     return best
 
 

@@ -182,7 +182,7 @@ class DiagnosisResult(Carded):
     missed: Missed | None = None  # if the verdict is unexplained
     not_compared: tuple[str, ...] = ()  # quantities that no record holds
     next_experiment: NextExperiment | None = None
-    record: tuple[str, ...] = ()  # remarks on the readings: suspect, excluded, repaired
+    record: tuple[str, ...] = ()  # remarks on the readings: doubtful, excluded, repaired
     findings: tuple[Finding, ...] = ()  # remarks on records and parameters
     # least probability of credible candidates, which include the true one in 90 % of learning cases
     least_credible: float = 0.05

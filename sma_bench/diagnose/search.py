@@ -103,7 +103,7 @@ class Search:
 def search(observations: Sequence[Observation], parameters: Parameters,
            progress: Progress = lambda text: None, doubted: Collection[str] = ()) -> Search:
     """Fit all candidates to all records, including those held out (the shrinkage has fits without
-    them). `doubted`: quantities with suspect readings, for which effects are `held_back`."""
+    them). `doubted`: quantities with doubtful readings, which exclude effects."""
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
     baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
@@ -119,7 +119,8 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     problem = replace(fresh, observations=where.observations, nuisances=where.nuisances)
     # As stated: every parameter exact.
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
-    names = [n for n in possible_effects(parameters, quantities) if n not in held_back(doubted)]
+    excluded = excluded_effects(doubted)
+    names = [n for n in possible_effects(parameters, quantities) if n not in excluded]
     kinds = [baseline.with_effects([n], {n: f}) for n in names for f in _forms(n, observations)]
     singles = _singles(kinds, recalibrated, progress)
 
@@ -168,8 +169,8 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     return Search(problem, nominal, recalibrated, singles, pairs, best, *both)
 
 
-def held_back(doubted: Collection[str]) -> list[str]:
-    """Effects that a suspect signal may imitate: its sensor's; all if voltage or current."""
+def excluded_effects(doubted: Collection[str]) -> list[str]:
+    """Effects that a doubtful signal may imitate: its sensor's; all if voltage or current."""
     everything = bool({"voltage", "current"} & set(doubted))
     return [name for name, effect in EFFECTS.items()
             if everything or (effect.stage == "sensor" and set(effect.acts_on) & set(doubted))]
@@ -196,7 +197,7 @@ def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
 
 
 def _surprises(fitted: Fit) -> bool:
-    """True if a parameter or the initial state of a run moved beyond _SURPRISING."""
+    """True if a parameter, or the state of a run (STATES), moved beyond _SURPRISING."""
     far = np.abs([*fitted.x[: fitted.unknowns.bench], *fitted.z[fitted.problem.of_kind(STATE)]])
     return bool(np.max(far, initial=0.0) > _SURPRISING)
 
@@ -267,8 +268,8 @@ def _nonlinear(fitted: Fit) -> bool:
 
 
 def _refined(found: Fit) -> Fit:
-    """The same model fitted again with jumps and delays linearised about itself, not about
-    recalibration; repeated until it gains nothing if they are nonlinear."""
+    """The same model fitted again with nuisances linearised about itself, not about recalibration;
+    repeated until it gains nothing if states of runs or jumps of a slow logger are among them."""
     nonlinear = _nonlinear(found)
     for _ in range(_MOST_PASSES if nonlinear else 1):
         problem, gone = found.problem.about(found.parameters, found.z), found.evidence

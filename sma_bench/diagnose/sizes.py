@@ -42,7 +42,7 @@ def contribution(fitted: Fit, names: Sequence[str]) -> Array:
     off = {p.name: p.default for name in names for p in EFFECTS[name].parameters}
     added = fitted.predicted - problem.predict(fitted.parameters.replace(off))
     for block in problem.of_signal("deflection") if DRIFT_EFFECT in names else ():
-        added[block.rows] += problem.noise["deflection"].drift_in(fitted.left[block.rows])
+        added[block.rows] += problem.noise["deflection"].drift_in(fitted.residual[block.rows])
     beside = [known.index(p) for n in names for p in EFFECTS[n].beside if p in known]
     if beside:
         columns, whiten = fitted.derivatives[:, beside], problem.whiten

@@ -151,7 +151,7 @@ def _responses(observation: Observation, moves: Sequence[_Move],
                change: Callable[[tuple[Any, ...]], Array]) -> Array:
     """(n, m): `change` (n,) of the readings by each of the moves (m,) of the voltages.
 
-    Moves far apart share a simulation: the readings from the begin of one to that of the next are
+    Moves far apart share a simulation: the readings from the start of one to that of the next are
     its own. If one has not decayed by then, the moves of its group are simulated one by one."""
     bins = [len(s.time) for s in observation.signals]
     rows = np.repeat(np.arange(len(bins)), bins)

@@ -251,22 +251,22 @@ class Observation:
                for s in self.signals]
         return csr_array(block_diag(own, "csr"))
 
-    def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
+    def history(self, signal: BinnedSignal, simulation: Simulation) -> Array:
         """(n,) of a signal on the grid; the conductance for a current."""
         histories = _history(signal.quantity, simulation)
-        course = histories[:, signal.wire % histories.shape[1]]
+        history = histories[:, signal.wire % histories.shape[1]]
         delay = self.delays.get(signal.quantity, 0.0)
-        return np.interp(self.grid - delay, self.grid, course) if delay else course
+        return np.interp(self.grid - delay, self.grid, history) if delay else history
 
     def _on_grid(self, simulation: Simulation) -> Array:
         """(signals n,) of all signals on the grid, one after the other, without delays."""
         of = {quantity: _history(quantity, simulation) for quantity in self.quantities}
         which = [(of[s.quantity], s.wire) for s in self.signals]
-        return np.concatenate([course[:, wire % course.shape[1]] for course, wire in which])
+        return np.concatenate([own[:, wire % own.shape[1]] for own, wire in which])
 
     def rates(self, simulation: Simulation) -> list[Array]:
         """d/dt of each signal, bin by bin."""
-        return [s.average @ np.gradient(self.course(s, simulation), self.grid)
+        return [s.average @ np.gradient(self.history(s, simulation), self.grid)
                 for s in self.signals]
 
     def phase_of(self, time: Array) -> NDArray[np.str_]:

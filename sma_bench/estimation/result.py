@@ -32,9 +32,9 @@ class Number:
     name: str
     value: float
     std: float  # never above `prior_std`
-    believed: float  # mean of the prior
+    prior_mean: float  # mean of the prior
     prior_std: float
-    moved: float  # prior deviations from `believed`
+    moved: float  # prior deviations from `prior_mean`
     informed: float  # share of its information from the records: 1 - variance/prior variance
     at_end: bool  # of its range
     # Signed error that one standard deviation of each sensor's scale or zero adds.

@@ -55,7 +55,7 @@ class Fit:
     evidence: float  # log of p(records | model), up to a constant common to all models
     predicted: Array  # (n,) readings
     derivatives: Array  # (n, k) of these
-    left: Array  # (n,) residual, without the nuisances' part
+    residual: Array  # (n,) measured minus predicted, without the nuisances' part
 
     @property
     def covariance(self) -> Array:
@@ -90,7 +90,7 @@ class Fit:
 
     def with_repeated_misfit(self) -> "Fit":
         """The same fit with errors for a misfit that repeats in every stroke."""
-        problem = self.problem.with_weights(self.left, repeated=True)
+        problem = self.problem.with_weights(self.residual, repeated=True)
         rows = np.hstack([problem.whiten(self.derivatives), problem.white_nuisances])
         joint = np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1]))
         return replace(self, joint=np.asarray(joint, dtype=np.float64))
@@ -98,7 +98,7 @@ class Fit:
     def within_reach(self, steps: Array) -> Array:
         """Steps (p, k) from x, drawn by its covariance, each halved until the cost grows by no more
         than sixteen times what the covariance predicts."""
-        problem = self.problem.with_weights(self.left, repeated=True)
+        problem = self.problem.with_weights(self.residual, repeated=True)
         low, high = self.unknowns.bounds()
 
         def costs(steps: Array) -> Array:
@@ -133,7 +133,7 @@ class Fit:
         turn = self.unknowns.turn(self.x)
         known = np.diag(turn @ self.covariance @ turn.T)
         pulled = rows @ (self.joint @ np.concatenate([self.x, self.z]))
-        white = self.problem.whiten(self.left) - pulled
+        white = self.problem.whiten(self.residual) - pulled
         moved, expected = np.zeros(len(known)), np.zeros(len(known))
         for index in self.problem.stretches(_STRETCHES):
             own = rows.take(index, axis=0)
@@ -171,7 +171,7 @@ def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
             state.linearise()
         state.climb(_MOST_STEPS)
         if not keep_noise:
-            state.problem = state.problem.with_noise(state.left())
+            state.problem = state.problem.with_noise(state.residual())
         if number == rounds - 1:
             state.climb(2)
     return state.finished()
@@ -225,7 +225,7 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
         for number in range(_MOST_ROUNDS):
             x = _with_common_states(fitted)
             there = first.with_nuisances(unknowns.parameters(x), states)
-            weighed = there.with_weights(fitted.left)
+            weighed = there.with_weights(fitted.residual)
             levels = [[n.white for n in one.noises] for one in (weighed, fitted.problem)]
             changes = np.abs(np.diff(np.log(levels), axis=0))
             if number >= _WEIGHT_ROUNDS and np.max(changes) < _SAME_WEIGHT:
@@ -238,7 +238,7 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
 
 def independent_readings(fitted: Fit) -> float:
     """Number of independent readings that its records are worth."""
-    rho = np.array(fitted.problem.correlations(fitted.left))
+    rho = np.array(fitted.problem.correlations(fitted.residual))
     bins = np.array([len(block.signal.time) for block in fitted.problem.blocks])
     return float(np.sum(np.maximum(bins * (1.0 - rho) / (1.0 + rho), 1.0)))
 
@@ -251,8 +251,8 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 
     with unknowns and nuisances q in prior deviations, and their information H (Laplace)."""
     blocks = fitted.problem.blocks
-    squares = [np.mean(fitted.left[b.rows] ** 2) / max(np.ptp(b.signal.value), b.signal.noise) ** 2
-               for b in blocks]
+    squares = [np.mean(fitted.residual[b.rows] ** 2)
+               / max(np.ptp(b.signal.value), b.signal.noise) ** 2 for b in blocks]
     spread = USUAL_WEIGHT * USUAL_MISFIT**2 + readings * float(np.mean(squares))
     moved = float(fitted.x @ fitted.x + fitted.z @ fitted.z)
     freedom = float(np.linalg.slogdet(fitted.joint)[1])
@@ -330,12 +330,12 @@ class _State:
                                            range(self.unknowns.baseline, len(self.x)))
             self.slopes = np.hstack([self.base, own])
 
-    def left(self) -> Array:
+    def residual(self) -> Array:
         return self.problem.measured - self.predicted - self.problem.nuisance_rows @ self.z
 
     def cost(self) -> float:
         """Twice the negative log posterior, without its constants."""
-        white = self.problem.whiten(self.left())
+        white = self.problem.whiten(self.residual())
         return float(white @ white + self.x @ self.x + self.z @ self.z)
 
     def approach(self) -> None:
@@ -343,7 +343,7 @@ class _State:
         computed, but updated by the last step (Broyden, Math. Comp. 19 (1965) 577)."""
         before, last, rough = np.inf, None, self.problem.voltage_noise
         for _ in range(_FAR_STEPS):
-            self.problem = self.problem.with_noise(self.left())
+            self.problem = self.problem.with_noise(self.residual())
             if not rough or last is None or (self.x == last[0]).all():
                 last = self.x, self.predicted
                 self.linearise(rough)
@@ -409,8 +409,8 @@ class _State:
         information = np.block([[known, mixed, across],
                                 [mixed.T, own.T @ own + np.eye(own.shape[1]), shared],
                                 [across.T, shared.T, problem.nuisance_information]])
-        left = problem.whiten(problem.measured - self.predicted)
-        return information, np.concatenate([base.T @ left, own.T @ left, nuisances.T @ left])
+        white = problem.whiten(problem.measured - self.predicted)
+        return information, np.concatenate([base.T @ white, own.T @ white, nuisances.T @ white])
 
     def _step(self, normal: Array, force: Array, damping: float, low: Array, high: Array) -> Array:
         """(k,) step in prior deviations, within bounds, damped in the unknowns (Levenberg)."""
@@ -441,4 +441,4 @@ class _State:
         evidence += self.problem.log_prior()
         # The problem without its whitened columns, which are large.
         return Fit(replace(self.problem), self.unknowns, self.x, self.z, joint, evidence,
-                   self.predicted, self.slopes, self.left())
+                   self.predicted, self.slopes, self.residual())

@@ -51,7 +51,7 @@ class Transitions:
         A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
 
     with a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths
-    w_A and w_M of the two ranges, moved by their logarithms. What is not stated is as typical."""
+    w_A and w_M of the two ranges, moved by their logarithms. What is not stated is typical."""
 
     mean: Array  # (4,) K, of the prior
     moving: NDArray[np.intp]  # (m,) indices of those that are not exact

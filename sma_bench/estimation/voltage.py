@@ -32,7 +32,7 @@ _AT_CORNER, _BENT = 2, 3.0  # samples that may lie on neither line; times the no
 # Tolerance of a straight line: times the noise, in steps of the converter, in V.
 _TOLERANCE_STD, _TOLERANCE_STEPS, _SMALLEST_TOLERANCE = 8.0, 2.5, 1e-3
 _MOST_PIECES = 20_000
-# Of the largest voltage: smallest jump whose moment matters, for samples this close [s] or closer.
+# Smallest jump whose moment matters (of the largest voltage); less beyond this sample period [s].
 _SMALLEST_JUMP, _OFTEN_READ = 0.05, 0.1
 _RAMPS = 0.7  # of all changes: so many equal ones are a commanded ramp
 _STRAIGHT, _EXACT = 1.3, 1e-5  # times the noise, about a line; of the range, without noise

@@ -277,7 +277,7 @@ def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
         low, high = (float(np.median(k - slope * s)) for k in kelvin)
         for name, value in zip(ends, (low, max(high, low + 1.0)), strict=True):
             unknowns[name] = (value, value - 80.0, value + 80.0, 4.0)
-        if several:  # at most 90 K per 100 MPa: C of 1.1 MPa/K or more
+        if several:  # at most 100 K per 100 MPa: C of 1 MPa/K or more
             first = float(np.clip(slope, 1.0, 90.0))
             unknowns |= dict.fromkeys(slopes, (first, -5.0, 100.0, 2.0))
         else:

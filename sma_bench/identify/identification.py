@@ -338,7 +338,7 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
         # Again with the noise of these residuals: with guessed noise, zeros would follow a misfit.
         fitted = fit(first.problem, known, still, rounds=1, keep_noise=True)
         for block in fitted.problem.blocks:
-            signal, residual = block.signal, fitted.left[block.rows]
+            signal, residual = block.signal, fitted.residual[block.rows]
             # A bin's mean removes most of its samples' white noise: add it back.
             count, hidden = signal.usual_count, signal.noise**2 * (signal.usual_count - 1.0)
             rms = float(np.sqrt(np.average(residual**2, weights=signal.count) + hidden))

@@ -27,7 +27,7 @@ _NARROWEST = 0.2  # K between two transition temperatures
 _PASSES = 100  # over all pairs, as moving one pair apart may bring another together
 _WRONG = 1.5  # ratio of h or c_p to its stated value that points to the camera (a half-filled spot)
 _RESULT_WITH = {"wire.mass": SPECIFIC_HEAT, "wire.surface_area": COEFFICIENT,
-           "wire.diameter": "Theta_T, C_A, C_M"}  # results computed with each
+                "wire.diameter": "Theta_T, C_A, C_M"}  # results computed with each
 _DENSITY_STD, _LENGTH_STD = 0.01, 0.005  # relative
 _KNOWN = 0.1  # relative error of a factor up to which records can split a product
 _ROUNDED = 1.06  # files round errors to two digits: up to this ratio, errors may be the same

@@ -113,7 +113,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     fits = zip(used, result.fit.problem.observations, off[OFFSET], strict=True)
     for (_, _, of_drive), observation, zero in fits:
         simulation = observation.simulate(result.fit.parameters)
-        predicted = observation.course(observation.signals[0], simulation)
+        predicted = observation.history(observation.signals[0], simulation)
         for w in of_drive:
             models.append(zero.value + np.interp(w.temperature_time, observation.grid, predicted))
     # The numbers. Random errors grow with the misfit; the checks add systematic ones.
@@ -304,7 +304,7 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
     means: list[tuple[float, float, float]] = []
     for block in fitted.problem.blocks:
         signal, rows = block.signal, block.rows
-        residual, model = fitted.left[rows], fitted.predicted[rows]
+        residual, model = fitted.residual[rows], fitted.predicted[rows]
         width, rise = max(tau, _FEWEST_IN_BIN * signal.period), float(np.ptp(model))
         which = np.floor((signal.time - signal.time[0]) / width).astype(np.intp)
         _, which, count = np.unique(which, return_inverse=True, return_counts=True)
@@ -325,8 +325,8 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
         alone = {number.name: number for number in blind.numbers}
         known, free = numbers[COEFFICIENT], alone[COEFFICIENT]
         scales = 0.0 if heat_loss.gain else math.hypot(*scale_of_gain(parameters).values())
-        difference = math.log(known.believed / free.value)
-        std = math.hypot(free.std / free.value, known.prior_std / known.believed, scales)
+        difference = math.log(known.prior_mean / free.value)
+        std = math.hypot(free.std / free.value, known.prior_std / known.prior_mean, scales)
         if abs(difference) >= max(_SIGNIFICANT * std, _SMALL):
             other = alone[SPECIFIC_HEAT].value
             systematics.append(abs(math.log(other / cp.value)))

@@ -30,7 +30,7 @@ from sma_bench.records.record import Record
 
 _NUISANCES = (*priors.SHAPES, *priors.UNMODELLED)
 _UNINFORMED = 0.2  # share of information from the records: below, the prior decides
-_FAR, _FAR_TOO = 3.5, 2.0  # prior deviations that contradict a prior; once one is, another
+_FAR, _FAR_TOO = 3.5, 2.0  # prior deviations that contradict a prior; likewise if another one is
 _LAGS, _RARE = 20, 1e-6  # of the test for white residuals: lags, probability
 _FLOOR = 1.3  # rms residual over the noise above which the model misses a signal
 _BETTER = 3.0  # nats by which a lag of the thermometer must improve the fit
@@ -141,7 +141,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
     curves: dict[str, Array] = {}
     paths = list(dict.fromkeys(one.path for one in observations))
     for block in result.fit.problem.blocks:
-        signal, model = block.signal, block.signal.value - result.fit.left[block.rows]
+        signal, model = block.signal, block.signal.value - result.fit.residual[block.rows]
         head = f"{paths.index(block.observation.path)}." if len(paths) > 1 else ""
         shown = {"time": signal.time, "measured": signal.value, "model": model}
         curves |= {f"{head}{signal.name}.{kind}": values for kind, values in shown.items()}
@@ -165,7 +165,7 @@ def _of_laws(laws: Sequence[weighing.LawFit]) -> Iterator[Finding]:
 def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fit, list[Fit]]:
     """Refit with the thermometer's lag if temperatures misfit or one is given; the better fit."""
     mean, std = float(parameters[CAMERA_LAG]), parameters.std(CAMERA_LAG)
-    missed = any(float(np.std(fitted.left[block.rows])) > _FLOOR * block.signal.noise
+    missed = any(float(np.std(fitted.residual[block.rows])) > _FLOOR * block.signal.noise
                  for block in fitted.problem.blocks if block.signal.quantity == "temperature")
     if parameters[LAG] or std == 0.0 or not (missed or mean):
         return fitted, tried
@@ -199,16 +199,16 @@ def _findings(result: Result) -> Iterator[Finding]:
     # If one prior is contradicted, the same cause is likely to shift others.
     limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in result.numbers) else _FAR
     for n in (n for n in result.numbers if abs(n.moved) > limit):
-        away, unit = (n.value - n.believed) / n.prior_std, BY_NAME[n.name].unit
+        away, unit = (n.value - n.prior_mean) / n.prior_std, BY_NAME[n.name].unit
         yield remark("contradicted", subject=n.name, n=n, unit=unit, deviations=away)
     for n in (n for n in shown if n.at_end):
         yield remark("end of a range", subject=n.name, value=n.value)
     severity: Severity = "info" if result.agreed > 1 else "warning"
     yield remark("starts", severity, agreed=result.agreed, starts=result.starts)
     fitted = result.fit
-    noise = fitted.problem.with_noise(fitted.left).noise
+    noise = fitted.problem.with_noise(fitted.residual).noise
     for block in fitted.problem.blocks:
-        signal, residual = block.signal, fitted.left[block.rows]
+        signal, residual = block.signal, fitted.residual[block.rows]
         name, path, rms = signal.name, block.observation.path, float(np.std(residual))
         if (ratio := rms / signal.noise) > _FLOOR:
             yield remark("above the noise", subject=name, path=path, ratio=ratio, rms=rms,

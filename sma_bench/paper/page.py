@@ -45,7 +45,6 @@ class Erratum(NamedTuple):
 
 
 def paper_errata() -> list[Erratum]:
-    """All errata of errata.yaml."""
     items = read_yaml(Path(__file__).with_name("errata.yaml")).items()
     return [Erratum(number, **item | {"lines": tuple(map(tuple, item.get("lines", ())))})
             for number, item in items]

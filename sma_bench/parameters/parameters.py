@@ -25,7 +25,7 @@ _DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 # Pairs of which the first must lie below the second.
 ORDERED = ((TRANSITIONS["A_s"], TRANSITIONS["A_f"]), (TRANSITIONS["M_f"], TRANSITIONS["M_s"]))
-# Laws whose strain of martensite depends on the load: where it begins, or without load; its rise.
+# Laws whose martensite strain depends on the load: where it begins, or its share at 0; its rise.
 ORIENTING = {
     "brinson": ("wire.detwinning_start_stress", "wire.detwinning_stress_range"),
     "extended": ("wire.least_strain_share", "wire.orientation_stress"),

@@ -207,7 +207,7 @@ class OperatingPoint(State):
 
 
 def side_toward(parameters: Parameters, deflection: float) -> str:
-    """The side whose wires deflect the bench in this direction [m], for a tip even if it has none;
+    """The side whose wires deflect the bench this way [m], of a tip even if it has no wires;
     InputError: a wire with a load would have to become longer."""
     names, boundary = side_names(parameters), Boundary.of(parameters)
     levers = boundary.levers(parameters) * deflection

@@ -19,8 +19,8 @@ from sma_bench.records.storage import RawTopic, RawTopics, decompress_messages, 
 _DAY_NS = 86_400 * 10**9  # smaller stamps are of a simulation, which counts from 0
 _TWO_CLOCKS_NS = 10**9  # a larger median of receive time minus stamp means two clocks
 _MEDIAN_OF = 15  # messages: up to 7 wrong stamps in a row do not move the topics without stamps
-# Pauses may add up to a day plus ten times the recorded time (steps of at most 10 s each). If they
-# are longer, a clock was set meanwhile, and the record is split at gaps: the longest ones first.
+# Stamps may span a day plus ten times the recorded time (the steps of at most 10 s). If they span
+# more, a clock was set meanwhile: split at gaps, long ones first, and keep the largest part.
 _PAUSES_OF_RECORDED, _RECORDED_NS, _GAPS_S = 10, 10 * 10**9, (86_400, 3600, 600, 60, 10)
 _MARKER_BYTES, _MOST_MARKERS = 400, 100_000  # memory of a marker and its objects; markers
 # By message type: (column, message field, joint) of each column.
@@ -174,7 +174,7 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
             at = (samples.received - zero).astype(np.float64)
             samples.stamp = samples.received - np.interp(at, known, delay).astype(np.int64)
             off = f"receive times are {offset * 1e-9:.3f} s off the stamps of {reference.topic}"
-            text = f"{off}; this topic has no stamps and was moved onto the clock of those"
+            text = f"{off}; this topic has no stamps and was moved onto their clock"
             bag.remark(samples.topic, text, offset=offset * 1e-9)
     for samples in decoded:
         if backward := int(np.count_nonzero(np.diff(samples.stamp) < 0)):

@@ -22,7 +22,7 @@ from sma_bench.records.tables import Account, Column, Table, TableFile
 
 _WINDOW, _SHORTEST = 20.0, 60.0  # s, over which a rate is measured; shortest step
 _STILL = 0.3  # of the slowest ramp: a lower rate is isothermal
-_CONSTANCY = 0.05  # of the stress: deviation of an isobaric test
+_CONSTANCY = 0.05  # of the stress: largest deviation in an isobaric test
 _LARGEST_MASS, _HOTTEST = 1e-3, 1500.0  # kg, K
 _LARGEST_SPAN = 0.12  # NiTi single crystals recover some 10 %: a larger strain is in percent
 _WARMING = 4.0  # times the smallest cycle: at varying stress, a smaller one is self-heating

@@ -22,7 +22,7 @@ _LEAST_STATED = 0.1  # of the scatter of the readings; a smaller stated deviatio
 _SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
 _DOUBTFUL = {"value", "drift", "common", "follows", "apart"}  # numbers of findings that cast doubt
 _REGULAR = 0.95  # share of the values that last a whole multiple of the usual number of rows
-_TWO_CLOCKS = 5  # rows; a value that lasts longer may last one row more or less
+_TWO_CLOCKS = 5  # rows; values that usually last as long may last one row more or less
 _ONE_ROW = 1.1  # rows, at most, between a reading and the row that shows it first
 _NONE: IntArray = np.zeros(0, dtype=np.int64)
 _GAP, _GAP_STEPS, _FEW = 2.0, 10.0, 8  # s; usual steps; readings beside a gap that show a ramp

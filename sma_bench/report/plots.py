@@ -248,13 +248,13 @@ def gap_picture(result: Diagnosis) -> Picture:
     names, middle = result.model.unknowns.effects, list(result.where.table)
     if result.verdict == UNEXPLAINED:
         head = "residual of\nrecalibration"
-        middle = locate(problem, result.search.recalibrated.left)
+        middle = locate(problem, result.search.recalibrated.residual)
     elif names:
         head = "change by\n" + "\nand ".join(names)
     else:
         head = "change by\nrecalibration"
-    maps = (("measured - simulated,\nas stated", locate(problem, result.search.nominal.left)),
-            (head, middle), ("residual of the\nbest model", locate(problem, result.model.left)))
+    maps = (("measured - simulated,\nas stated", locate(problem, result.search.nominal.residual)),
+            (head, middle), ("residual of the\nbest model", locate(problem, result.model.residual)))
     # Signals by quantity, the worst first; the deflection once per side.
     quantities = dict.fromkeys([*(quantity for quantity, _ in result.worst_first), *QUANTITIES])
     rows = list(dict.fromkeys(f"{signal.name}, {side}" if side else signal.name
@@ -293,7 +293,7 @@ def missing_pictures(result: Diagnosis) -> list[Picture]:
     """The residual of recalibration over time, for the signals in which most of it lies."""
     model = result.search.recalibrated
     shares: dict[str, float] = {}
-    for cell in locate(result.model.problem, model.left):
+    for cell in locate(result.model.problem, model.residual):
         shares[cell.signal] = shares.get(cell.signal, 0.0) + cell.share
     ranked = sorted(shares, key=lambda name: shares[name], reverse=True)[:_MOST_SIGNALS]
     pictures = []
@@ -302,7 +302,7 @@ def missing_pictures(result: Diagnosis) -> list[Picture]:
         block = next(iter(model.problem.of_signal(name)))
         obs, time = block.observation, block.signal.time
         look = {"color": draw.FAINT, "lw": 1.0, "label": "residual"}
-        curves = [(time, factor * model.left[block.rows], look)]
+        curves = [(time, factor * model.residual[block.rows], look)]
         if found := result.missed:
             response = factor * result.search.inputs[found.stage].response[block.rows]
             label = f"unknown input to the {found.stage} stage"

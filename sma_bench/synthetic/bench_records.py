@@ -187,11 +187,11 @@ def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
     from sma_bench.control import TemperatureController  # slow: imports the linear model
 
     name = "temperature_staircase"
-    course = load_protocol(name, parameters, TEMPERATURE)
+    reference = load_protocol(name, parameters, TEMPERATURE)
     controller = TemperatureController(parameters, COMMAND_PERIOD, delay=COMMAND_PERIOD)
-    closed = run_loop(parameters, lambda bench: np.array(bench.temperature), course.level,
+    closed = run_loop(parameters, lambda bench: np.array(bench.temperature), reference.level,
                       lambda wanted, read, _: controller.step(wanted, read, COMMAND_PERIOD),
-                      course.duration, COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1,
+                      reference.duration, COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1,
                       seed=seed)
 
     def volts(t: Array) -> Array:
@@ -199,7 +199,7 @@ def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
         return closed.voltage[index]
 
     title, clamps = f"synthetic {name} on the simulated clamped wire", Boundary.clamped(-PRETENSION)
-    return _record(title, parameters, volts, course.duration, seed + 1, clamps)
+    return _record(title, parameters, volts, reference.duration, seed + 1, clamps)
 
 
 def _record(title: str, parameters: Parameters, voltage: Callable[[Array], Array], duration: float,

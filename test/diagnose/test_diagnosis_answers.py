@@ -76,8 +76,8 @@ def test_a_bench_that_would_not_move_as_stated_is_recalibrated(tmp_path):
     with few_effects():
         found = diagnose([record], Parameters(stated, stds))
     assert found.verdict == "recalibration"
-    left = found.search.recalibrated.left
-    assert left.std() < 0.002 * np.ptp(record["deflection"].values)
+    residual = found.search.recalibrated.residual
+    assert residual.std() < 0.002 * np.ptp(record["deflection"].values)
 
 
 def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_rig, tmp_path):

@@ -155,7 +155,7 @@ def test_a_fault_of_a_record_is_reported_and_is_no_cause(record, changed, report
     found = sma_bench.diagnose(changed(record), LAB)
     assert found.cause == ()
     line = found.to_json()["record"][0]
-    assert reported in line and line.split("held back")[0] in " ".join(str(found).split())
+    assert reported in line and line in " ".join(str(found).split())
     assert not set(excluded) & {c.name for c in found.candidates}
     assert (changed is switched) == (len(found.candidates) == 3)
 

@@ -155,8 +155,8 @@ def test_the_gap_shrinks_on_the_record_that_was_held_out(planted_diagnosis):
         assert s.rmse_after == pytest.approx(s.noise_floor, rel=0.15)
         assert s.rmse_before > 3.0 * s.noise_floor
     # The residual of the effect's fit is noise.
-    problem, left = planted_diagnosis.model.problem, planted_diagnosis.model.left
-    white = problem.whiten(left)
+    model = planted_diagnosis.model
+    white = model.problem.whiten(model.residual)
     assert white.std() == pytest.approx(1.0, abs=0.1)
     assert planted_diagnosis.search.beyond.gain < 10.0
 

@@ -101,14 +101,14 @@ def bent(truth, noise=2e-5, rho=0.0, seed=0, drift=0.0):
     time = np.arange(0.0, 80.0, 0.02)
     pulse = np.interp(time % 40.0, [2.0, 14.0, 26.0], [0.0, 2.6, 0.0])
     voltage = np.column_stack([pulse * (time < 40.0), pulse * (time >= 40.0)])
-    course = simulate(truth, time, voltage)
+    run = simulate(truth, time, voltage)
     white = random.standard_normal(len(time)) * noise * np.sqrt(1.0 - rho**2)
     coloured = lfilter([1.0], [1.0, -rho], white)
     shift = drift * np.sin(2.0 * np.pi * time / 25.0)
-    signals = [Signal("deflection", "m", time, course.deflection + coloured + shift)]
+    signals = [Signal("deflection", "m", time, run.deflection + coloured + shift)]
     for i, channel in enumerate(CHANNELS):
-        kelvin = course.temperature[:, i] + 0.1 * random.standard_normal(len(time))
-        ampere = course.current[:, i] + 0.01 * random.standard_normal(len(time))
+        kelvin = run.temperature[:, i] + 0.1 * random.standard_normal(len(time))
+        ampere = run.current[:, i] + 0.01 * random.standard_normal(len(time))
         signals += [Signal(f"{channel}.voltage", "V", time, voltage[:, i]),
                     Signal(f"{channel}.temperature", "K", time, kelvin),
                     Signal(f"{channel}.current", "A", time, ampere)]

@@ -46,8 +46,9 @@ def test_a_small_effect_differs_little_from_none(switch):
     assert active_effects(rig) == ()  # secondary numbers alone switch nothing on
     paper = simulate(COMPOSITE, time, voltage)
     assert all(np.array_equal(getattr(baseline, n), getattr(paper, n)) for n in SIGNALS)
-    if switch.name.endswith("recovery"):  # acts only on residual strain
-        rig = by_hand.typical(COMPOSITE, "residual_strain").replace({switch.name: 0.0})
+    if switch.name.endswith(("recovery", "tilt")):  # act only with the other part of their effect
+        effect = switch.name.split(".")[1]
+        rig = by_hand.typical(COMPOSITE, effect).replace({switch.name: 0.0})
         baseline = simulate(rig, time, voltage)
     large, small, tiny = (
         distance(baseline, simulate(rig.replace({switch.name: size}), time, voltage))

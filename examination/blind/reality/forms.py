@@ -14,7 +14,7 @@ from sma_bench.compiled import inlined
 Array = NDArray[np.float64]
 
 # --- Electrical.
-SLOW_SHARE = 0.8  # of a battery's drop, builds up and decays
+SLOW_SHARE = 0.8  # share of a battery's drop that builds up and decays slowly
 
 
 @inlined

@@ -167,7 +167,7 @@ class Outcome:
     """True values on the given time grid, SI units, (n,) or (n, w) wires: voltage at
     the driver, held from each sample to the next; surface of the silicone beside each wire, which
     an infrared spot sees too; deflection of the tip or the slider, positive to the front, or
-    elongation of a wire with a weight or a spring; (n, 2) deflection of each side to itself."""
+    elongation of a wire with a weight or a spring; (n, 2) m of each side towards itself."""
 
     time: Array
     voltage: Array

@@ -211,7 +211,7 @@ def draw(memory, grains, i, c, phase, own):
 @inlined
 def transform(classes, table, memory, bow, grains, i, temperature, stress):
     """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa]. The
-    temperature is that minus the drift of the transition, in the direction of `grains.rising`."""
+    temperature is reduced by the drift of the transition in the direction of `grains.rising`."""
     rising, line = grains.rising[i], grains.line
     total, total_slope = 0.0, 0.0
     for c in range(len(classes.weight)):
