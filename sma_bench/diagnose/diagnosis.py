@@ -274,7 +274,7 @@ def _drifts(fitted: Fit) -> dict[str, float]:
     record)."""
     found = defaultdict[str, float](float)
     for block in fitted.problem.blocks:
-        drift = fitted.problem.noise[block.signal.name].drift_in(fitted.left[block.rows])
+        drift = fitted.problem.noise[block.signal.name].drift_in(fitted.residual[block.rows])
         rms = float(np.sqrt(np.mean(drift**2)))
         found[block.signal.name] = max(found[block.signal.name], rms)
     return found
