@@ -182,11 +182,11 @@ def repeatability(fitted: Fit) -> float:
     """Root-mean-square difference of runs with the same input, in strokes; NaN for one run."""
     problem, squares = fitted.problem, []
     which, k = np.flatnonzero(problem.of_kind(STATE) | problem.of_kind(OFFSET)), len(fitted.x)
-    rows, doubt = problem.nuisance_rows[:, which], fitted.joint[k:, k:][np.ix_(which, which)]
+    rows, covariance = problem.nuisance_rows[:, which], fitted.joint[k:, k:][np.ix_(which, which)]
     for block in problem.blocks:
         if block.signal.quantity in MOVED:
             own = rows[block.rows]
-            power = (own @ fitted.z[which]) ** 2 + np.einsum("ij,jk,ik->i", own, doubt, own)
+            power = (own @ fitted.z[which]) ** 2 + np.einsum("ij,jk,ik->i", own, covariance, own)
             squares.append(float(np.mean(power)) / float(np.ptp(block.signal.value)) ** 2)
     several = squares and len(problem.observations) > 1
     return float(np.sqrt(2.0 * np.mean(squares))) if several else float("nan")

@@ -76,11 +76,11 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
         raise InputError("no record to identify from")
     bags = [r for r in records if isinstance(r, Record)]
     record_module.require_distinct(bags)
-    sound = [mended(record_module.as_driven(r, parameters), parameters) for r in bags]
-    bags = [record_module.as_calibrated(record, parameters) for record, _ in sound]
+    repaired = [mended(record_module.as_driven(r, parameters), parameters) for r in bags]
+    bags = [record_module.as_calibrated(record, parameters) for record, _ in repaired]
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
-    run.notes.extend(f for _, found in sound for f in found)
+    run.notes.extend(f for _, found in repaired for f in found)
     imposed = ["elongation"] if load_kind(known) == "displacement" else []  # an input
     for k, record in enumerate(bags):
         run.notes.extend(record.findings)

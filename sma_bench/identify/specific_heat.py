@@ -83,7 +83,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     # One observation per drive: the readings within its windows, the voltage from some time before.
     # Stamps may be off by the longest sample period; each record has an ambient of its own.
     used = [(*drive, own) for drive, own in zip(drives, chosen, strict=True) if own]
-    lean = []
+    reduced = []
     for record, drive, own in used:
         volts, kelvin = (f"{drive.channel}.{kind}" for kind in ("voltage", "temperature"))
         time, values = samples(record, volts)
@@ -94,13 +94,13 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         kept = {volts: Signal(volts, "V", time[inside], values[inside]),
                 kelvin: Signal(kelvin, "K", read, degrees)}
         rig = signals.one_wire(parameters, drive.channel)
-        lean.append((Record(record.path, record.start_ns, kept), rig))
-    shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
+        reduced.append((Record(record.path, record.start_ns, kept), rig))
+    shortest = max(shared_bin([record], rig, 0.0) for record, rig in reduced)
     # When a commanded step came between two readings is unknown: one delay for all of a ramp.
     steps = [record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
              if record.get("voltage_command") else 0.0 for record, drive, _ in used]
     observations = []
-    for record, rig in lean:
+    for record, rig in reduced:
         observation = observe(record, rig, shortest, ("temperature",))
         (signal,) = observation.signals
         delay = max(one.period for one in record.signals.values())

@@ -50,7 +50,7 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
 
 
 def test_an_experiment_names_causes_as_the_candidates_beside_another_law(monkeypatch,
-                                                                              tmp_path):
+                                                                         tmp_path):
     def proposed(candidates, *_):
         return NextExperiment("protocol", "to see", tuple(c.name for c in candidates), worth=0.5)
 

@@ -1,4 +1,4 @@
-"""Faults of a record reach its diagnosis: clocks are repaired, suspect signals exclude effects.
+"""Faults of a record reach its diagnosis: clocks are repaired, doubtful signals exclude effects.
 Synthetic records."""
 
 from dataclasses import replace
