@@ -202,7 +202,7 @@ def test_a_player_a_commander_that_comes_back_and_current_that_still_flows_are_n
     bench.state.merge("states", {"serial_bridge": "idle"})
     bench.state.show("foreign", {"front_1": "rosbag2_player"})  # which takes no commands
     result = stopped(bench)
-    assert not result["stopped"] and "front_1's from rosbag2_player" in result["said"]
+    assert not result["stopped"] and "front_1 (rosbag2_player)" in result["said"]
 
 
 @pytest.mark.parametrize(("off", "phase"), [(30, 0), (30, 66), (99, 0), (99, 33), (99, 99)])
