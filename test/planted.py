@@ -83,7 +83,7 @@ def planted_record(path, effects=None, *, quantities=ALL, kind="white", seed=1, 
     found = simulate(parameters, fine, 0.5 * (volts + np.vstack([volts[1:], volts[-1:]])))
     time, voltage = driven(RATE)
     kelvin, xi = found.temperature[::FINER], found.martensite_fraction[::FINER]
-    amperes = current(parameters, voltage, kelvin, xi)
+    amperes = current(parameters, voltage, kelvin, xi, found.sag[::FINER])
     exact = {}
     for k, channel in enumerate(channels):
         exact[f"{channel}.voltage"] = voltage[:, k]

@@ -25,7 +25,7 @@ from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects.residual_strain import carried_over, carries_over
 from sma_bench.physics.kernel import at_rest
-from sma_bench.physics.material import current, time_constant
+from sma_bench.physics.material import time_constant
 from sma_bench.physics.simulate import Bench, Simulation, simulate_from_rest
 from sma_bench.records.record import Record, ohms_of_source
 
@@ -320,8 +320,7 @@ def _history(quantity: str, simulation: Simulation) -> Array:
         return simulation.force.sum(axis=1)[:, np.newaxis]
     if quantity == "temperature":
         return simulation.temperature_reading
-    state = simulation.temperature, simulation.martensite_fraction
-    return current(simulation.parameters, 1.0, *state)
+    return simulation.conductance
 
 
 def shared_bin(records: Sequence[Record], parameters: Parameters, shortest: float = _BIN) -> float:

@@ -68,6 +68,11 @@ class Readings:
         return self.stress * channel_section(self.parameters)
 
 
+# With these the current is not in proportion to the voltage. Least share of the highest voltage
+# that drives: less may be noise around 0.
+_NOT_OHMIC, _DRIVES = ("effect.supply_drop.overload", "effect.supply_drop.battery"), 0.01
+
+
 @dataclass(eq=False, repr=False)
 class Simulation(Readings, Drawn):
     """Response of a bench to given voltages: `Readings` of n samples at `time` (n,) s; `voltage`:
@@ -98,8 +103,21 @@ class Simulation(Readings, Drawn):
     @cached_property
     def current(self) -> Array:
         """(n, w) A, eq. (3)."""
+        return self._current(self.voltage)
+
+    def _current(self, volts: Array) -> Array:
         states = self.temperature, self.martensite_fraction, self.sag
-        return material.current(self.parameters, self.voltage, *states)
+        return material.current(self.parameters, volts, *states)
+
+    @property
+    def conductance(self) -> Array:
+        """(n, w) A/V; of a wire that is not driven, that at its last volts, or at 1 V."""
+        volts = np.ones_like(self.voltage)
+        if any(self.parameters[name] for name in _NOT_OHMIC):
+            driven = self.voltage > _DRIVES * np.max(self.voltage, initial=0.0)
+            last = np.maximum.accumulate(driven * np.arange(1, len(volts) + 1)[:, None], axis=0) - 1
+            volts = np.where(last < 0, volts, np.take_along_axis(self.voltage, last, axis=0))
+        return self._current(volts) / volts
 
 
 def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,

@@ -19,7 +19,7 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
 from sma_bench.physics.boundary import side_of_channels
 from sma_bench.physics.kernel import State
-from sma_bench.physics.material import current, time_constant
+from sma_bench.physics.material import time_constant
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 _BACK = 0.5  # s: a stamp further back means that a clock was set back or a record started again
@@ -184,8 +184,8 @@ class FreeRun:
         drives = run.voltage.max(axis=1) > _OFF
         newest = np.maximum.accumulate(np.where(drives, np.arange(len(time)), -1))
         driven = np.where(newest < 0, self._driven, np.argmax(run.voltage, axis=1)[newest])
-        conductance = current(p, 1.0, kelvin, xi)
-        return Trajectory(time, kelvin, run.temperature_reading, conductance, mechanics, driven)
+        seen = run.temperature_reading, run.conductance
+        return Trajectory(time, kelvin, *seen, mechanics, driven)
 
 
 class Band:

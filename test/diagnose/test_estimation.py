@@ -52,6 +52,16 @@ def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_
     assert temperature.noise == pytest.approx(NOISE["temperature"] / np.sqrt(10.0), rel=0.15)
 
 
+@pytest.mark.parametrize("drop", [{"battery": 0.6, "battery_time": 8.0},
+                                  {"overload": 0.8, "knee": 0.8}])
+def test_currents_are_predicted_with_what_the_supply_drops(drop, tmp_path):
+    bench = true_bench().replace({f"effect.supply_drop.{n}": value for n, value in drop.items()})
+    obs = observe(planted_record(tmp_path / "bag", bench=bench), bench, 0.2, ("current",))
+    for signal, predicted in zip(obs.signals, obs.readings(obs.simulate(bench)), strict=True):
+        assert np.ptp(predicted) > 100.0 * signal.noise
+        assert np.sqrt(np.mean((signal.value - predicted) ** 2)) < 3.0 * signal.noise
+
+
 def test_a_record_that_cannot_be_compared_is_refused():
     time, voltage = drive()
     record = record_of(time, voltage.T, Signal("force", "N", time, np.ones_like(time)))

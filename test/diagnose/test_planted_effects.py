@@ -39,7 +39,7 @@ CASES = [
     ({"effect.residual_strain.share": 0.12}, ("deflection",), tuple(EFFECTS)),
     ({"effect.residual_strain.share": 0.12, "effect.residual_strain.recovery": 0.05}, ALL[1:],
      ("residual_strain", "transition_drift", "viscoelastic_matrix")),
-    ({"effect.supply_drop.battery": 0.6, "effect.supply_drop.battery_time": 8.0}, ALL[1:],
+    ({"effect.supply_drop.battery": 0.6, "effect.supply_drop.battery_time": 8.0}, ALL,
      ("supply_drop", "ambient_drift", "phase_dependent_resistance")),
     ({"effect.opposing_wires.buckled": 0.4, "effect.opposing_wires.gap": 0.01}, ALL[1:],
      ("opposing_wires", "stress_dependent_transition", "side_asymmetry")),
