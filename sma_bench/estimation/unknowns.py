@@ -25,7 +25,6 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECT_TABLE, Parameter
 from sma_bench.parameters.parameters import (
     BRANCH,
-    LOAD_NEEDS,
     ORIENTING,
     SMOOTHER,
     load_kind,
@@ -357,7 +356,7 @@ def unknowns_of(parameters: Parameters, names: Sequence[str], *,
         if partner:
             std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
         low, high = range_of(name)
-        if name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ()):
+        if name in BENDING or (name, load_kind(parameters)) == ("load.stiffness", "spring"):
             low = _LEAST_SHARE * mean
         log = name not in _STRAIGHT and low > 0.0
         # A prior is at most as wide as the range.

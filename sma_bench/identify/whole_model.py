@@ -32,6 +32,7 @@ _NUISANCES = (*priors.SHAPES, *priors.UNMODELLED)
 _UNINFORMED = 0.2  # share of information from the records: below, the prior decides
 _FAR, _FAR_TOO = 3.5, 2.0  # prior deviations that contradict a prior; likewise if another one is
 _LAGS, _RARE = 20, 1e-6  # of the test for white residuals: lags, probability
+_OFF_SCALE = 0.02  # relative: two sensors' gains are known to about 2 %
 _FLOOR = 1.3  # rms residual over the noise above which the model misses a signal
 _BETTER = 3.0  # nats by which a lag of the thermometer must improve the fit
 _UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
@@ -215,6 +216,10 @@ def _findings(result: Result) -> Iterator[Finding]:
                          noise_floor=signal.noise)
         if (chance := _chance_of_white(noise[name].whiten(residual))) < _RARE:
             yield remark("still correlated", subject=name, path=path, probability=chance)
+        model = signal.value - residual
+        ratio = 1.0 + float(model @ residual) / max(float(model @ model), 1e-12)
+        if signal.quantity == "current" and abs(ratio - 1.0) > _OFF_SCALE:
+            yield remark("current off scale", subject=RESISTANCE, path=path, ratio=ratio, name=name)
 
 
 def _chance_of_white(white: Array) -> float:

@@ -66,7 +66,7 @@ class BenchNode(OverridableNode):
         self._stated = stated_names(given).keys()
         for p in TABLE if self.with_uncertainty else ():
             if p.uncertainty is not None:
-                std = p.uncertainty if p.name in self._stated else p.default_std
+                std = p.stated_std(given.get(p.name)) if p.name in self._stated else p.default_std
                 own, about = UNCERTAINTY_PREFIX + p.name, f"Standard deviation of {p.name}."
                 self._contract[own] = Parameter(own, p.unit, std or 0.0, about, "table", 0.0, 1e15)
         for p in (*self._contract.values(), *self._own.values()):

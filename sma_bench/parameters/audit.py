@@ -52,16 +52,19 @@ def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str,
 
 
 def _wire(p: Parameters) -> list[Finding]:
-    """Length of the wire from its mass and from its area, and its resistivity with each."""
+    """Length of the wire by mass, by area and as stated; its resistivity by the first two."""
     by_mass = law.wire_length_from_mass(p)
     by_area = float(p["wire.surface_area"]) / (math.pi * p["wire.diameter"])
     ratio = by_area / by_mass
     numbers = {"length_from_mass": by_mass, "length_from_area": by_area, "ratio": ratio}
-    if apart := abs(ratio - 1.0) > LENGTH_TOLERANCE:
+    if clash := "apart" * (abs(ratio - 1.0) > LENGTH_TOLERANCE):
         name = "heat_transfer_coefficient"
         numbers[f"{name}_for_length_from_mass"] = p[f"wire.{name}"] * ratio
-    facts = {"grams": p["wire.mass"] * 1e3, "square": p["wire.surface_area"] * 1e6}
-    lengths = _judged(p, "wire length", "apart" * apart, numbers, **facts)
+    facts = {"grams": p["wire.mass"] * 1e3, "square": p["wire.surface_area"] * 1e6, "stated": ""}
+    if length := p["wire.length"]:
+        numbers["stated_length"], facts["stated"] = length, f", wire.length is {length:.3f} m"
+        clash = clash or "other" * (abs(length / by_mass - 1.0) > LENGTH_TOLERANCE)
+    lengths = _judged(p, "wire length", clash, numbers, **facts)
     ohm, (low, high) = p["wire.resistance"], NITI_RESISTIVITY
     numbers, verdicts = {}, []
     for name, length in (("mass", by_mass), ("area", by_area)):
@@ -107,7 +110,7 @@ def _thermal(p: Parameters) -> list[Finding]:
 
 
 def _material(p: Parameters) -> list[Finding]:
-    """Order of the transition temperatures, and thermal expansion against that of NiTi."""
+    """Order of transition temperatures and of moduli; thermal expansion against that of NiTi."""
     kelvin = {symbol: p[name] for symbol, name in TRANSITIONS.items()}
     clashes = [f"{upper} lies {kelvin[upper] - kelvin[lower]:.2f} K above {lower}"
                for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
@@ -115,9 +118,10 @@ def _material(p: Parameters) -> list[Finding]:
     numbers, text = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
     clash = "overlap" if clashes else ""
     order = _judged(p, "transition order", clash, numbers, clashes=text, **kelvin)
-    theta = p["wire.thermal_expansion_factor"]
-    soft = NITI_EXPANSION[0] * p["wire.martensite_modulus"]
-    stiff = NITI_EXPANSION[1] * p["wire.austenite_modulus"]
+    low, high, theta = (p[f"wire.{name}"] for name in (
+        "martensite_modulus", "austenite_modulus", "thermal_expansion_factor"))
+    moduli = _judged(p, "moduli", "swapped" * (low > high), {"martensite": low, "austenite": high})
+    soft, stiff = NITI_EXPANSION[0] * low, NITI_EXPANSION[1] * high
     numbers = {"thermal_expansion_factor": theta, "alpha_E_low": soft, "alpha_E_high": stiff}
     clashes, size = [], abs(theta)
     if theta > 0.0:
@@ -130,7 +134,7 @@ def _material(p: Parameters) -> list[Finding]:
         clashes.append(f"{size / soft:.2f} times the smallest")
     facts = {"theta": theta / 1e6, "soft": soft / 1e6, "stiff": stiff / 1e6}
     clash, text = "clash" if clashes else "", ", ".join(clashes)
-    return [order, _judged(p, "thermal expansion", clash, numbers, clashes=text, **facts)]
+    return [order, moduli, _judged(p, "thermal expansion", clash, numbers, clashes=text, **facts)]
 
 
 def _drive_and_load(p: Parameters) -> list[Finding]:

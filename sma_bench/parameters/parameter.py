@@ -42,8 +42,11 @@ class Parameter:
     provenance: str  # paper table or equation, or "assumed: why"
     low: Any = None  # inclusive range of a number, in its unit; None of a text
     high: Any = None
-    # standard deviation, in its unit, of a value stated without one, as in a careful lab
+    # standard deviation, in its unit, of a value stated without one, as in a careful lab; it is
+    # at least and at most these shares of that value, unless the value is 0
     uncertainty: float | None = None
+    least_share: float = 0.0
+    most_share: float = math.inf
     # standard deviation of a value that nobody stated: how much wires and benches differ in it, by
     # spread_source; None: as uncertainty (a sensor's data sheet, an effect's number)
     spread: float | None = None
@@ -55,6 +58,13 @@ class Parameter:
     def default_std(self) -> float | None:
         """Standard deviation of the default, where nobody stated the number."""
         return self.uncertainty if self.spread is None else self.spread
+
+    def stated_std(self, value: Any) -> float | None:
+        """Standard deviation of a value that was stated without one."""
+        if self.uncertainty is None or not isinstance(value, (int, float)) or value == 0.0:
+            return self.uncertainty
+        return min(max(self.uncertainty, self.least_share * abs(value)),
+                   self.most_share * abs(value))
 
     def validated(self, value: Any, where: str = "") -> Value:
         """The value in its own type. InputError, after `where`: wrong type, infinite, outside."""
@@ -74,7 +84,9 @@ class Parameter:
         hints = {}
         if self.unit == "K" and _CELSIUS_RANGE[0] <= number <= _CELSIUS_RANGE[1]:
             hints = {number + 273.15: "is it in degrees Celsius?"}
-        elif self.low != 0.0:
+        elif self.unit == "1" and self.high <= 1.0:
+            hints = {0.01 * number: "is it in percent?"}
+        elif self.low != 0.0 or (number > 0.0 and self.unit not in ("", "1")):
             slip = "times {:g} it would fit: wrong unit prefix?"
             hints = {number * factor: slip.format(factor) for factor in _UNIT_SLIPS}
         hint = next((f" ({hints[x]})" for x in hints if self.low <= x <= self.high), "")

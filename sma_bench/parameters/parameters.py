@@ -19,6 +19,7 @@ STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
 REFERENCE_EXCESS = 60.0  # K above ambient, for which results give the coefficient
 OXIDISED = 0.4  # emissivity of a drawn wire with its oxide
 _EXCESSES = (30.0, 120.0)  # K, between which the exponent of free convection is taken
+_OF_SIZE = 0.1  # relative deviation of a mass or area that follows from length and diameter
 _LONGEST_LIST = 800  # characters of a repr
 _SPREAD = "wire.hysteresis_spread"
 _DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
@@ -32,7 +33,6 @@ ORIENTING = {
 }
 OF_NORMAL = ("wire.end_length", "wire.transition_skew")  # 0 with any other law
 SMOOTHER = ("wire.transition_spread", "wire.transition_tail")  # of the cosine law
-LOAD_NEEDS = {"spring": ("load.stiffness",)}  # must be above 0
 
 
 def unknown_parameter_message(name: str, known: Iterable[str]) -> str:
@@ -84,6 +84,7 @@ class Parameters(Mapping[str, Value]):
         `uncertainty`. InputError, led by `where`: unknown name, wrong type, out of range, clash."""
         self._values: dict[str, Value] = dict(_DEFAULTS)
         self._std: dict[str, float] = {}
+        self._of_size: dict[str, float] = {}  # mass and area by a stated length and diameter
         self.given: frozenset[str] = frozenset()
         self._put(values or {}, uncertainty or {}, where)
 
@@ -115,6 +116,11 @@ class Parameters(Mapping[str, Value]):
                     self._values[lower] = self[upper] - width
                 else:
                     self._values[upper] = self[lower] + width
+        if {"wire.length", "wire.diameter"} <= self.given and (length := self["wire.length"]):
+            size = {"wire.mass": NITI_DENSITY * wire_section(self) * length,
+                    "wire.surface_area": math.pi * self["wire.diameter"] * length}
+            self._of_size = {name: size[name] for name in size.keys() - self.given}
+            self._values |= self._of_size
         if self["wire.law"] == "normal" and _SPREAD not in self.given and hysteresis(self)[2] > 0.0:
             self._values[_SPREAD] = nearest_spread(self, _DEFAULTS[_SPREAD])
         if "wire.heat_transfer_coefficient" not in self.given:
@@ -224,8 +230,9 @@ class Parameters(Mapping[str, Value]):
     def std(self, name: str) -> float:
         """Standard deviation of `name`, absolute, in its unit: the stated one, else the table's of
         a stated value, else its spread. InputError: unknown, or without one (a name, a limit)."""
-        self[name]
-        std = BY_NAME[name].uncertainty if name in self.given else BY_NAME[name].default_std
+        value, own = self[name], BY_NAME[name]
+        unstated = _OF_SIZE * value if name in self._of_size else own.default_std
+        std = own.stated_std(value) if name in self.given else unstated
         if std is None:
             raise InputError(f"{name} has no uncertainty")
         return self._std.get(name, std)

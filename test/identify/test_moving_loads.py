@@ -171,6 +171,18 @@ def test_a_lag_of_the_thermometer_does_not_change_the_wires_parameters():
     assert {one.verdict for one in found.fit.values()} == {"ok"}
 
 
+def test_a_resistance_stated_far_off_is_named_if_the_currents_do_not_fit_it():
+    truth = moving_lab("force")
+    record = recorded(truth, "triangle", 3, "voltage", "current", "temperature", "elongation")
+    for off, named in ((1.0, False), (1.15, True)):
+        stated = truth.replace({"wire.resistance": off * truth["wire.resistance"]},
+                               {"wire.resistance": 0.01})  # fmt: skip
+        found = identify([record], stated)
+        findings = [f for e in found.experiments for f in e.findings]
+        said = [one.text for one in findings if "readings of wire.current are" in one.text]
+        assert bool(said) == named, said
+
+
 # --- Laws of the wire, and limits of predicted readings.
 GRADE = dict(zip(TRANSITIONS.values(), (338.0, 362.0, 336.0, 314.0), strict=True))
 ROOM, STROKE = "environment.ambient_temperature", "wire.maximum_recoverable_strain"

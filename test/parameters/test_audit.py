@@ -46,6 +46,18 @@ def test_numbers_that_fit_each_other_raise_no_warning():
     assert [str(finding) for finding in audit(SOUND) if finding.severity != "info"] == []
 
 
+def test_a_gauge_length_and_swapped_moduli_are_found():
+    stated = {"wire.length": 0.2, "wire.martensite_modulus": 28e9, "wire.austenite_modulus": 60e9}
+    sound = by_subject(SOUND.replace(stated))
+    assert "wire.length is 0.200 m: they agree" in sound["wire length"].text
+    assert sound["moduli"].severity == "info"
+    half = by_subject(SOUND.replace({"wire.length": 0.1}))["wire length"]
+    assert half.severity == "warning" and "wire.length is 0.100 m" in half.text
+    swapped = {"wire.martensite_modulus": 60e9, "wire.austenite_modulus": 28e9}
+    moduli = by_subject(SOUND.replace(swapped))["moduli"]
+    assert moduli.severity == "warning" and "swapped" in moduli.text
+
+
 def test_the_papers_own_numbers_are_one_line_unless_asked_for(capsys, tmp_path):
     brief = audit(PAPER, papers_own=False)
     assert [f.subject for f in brief] == ["thermal expansion", "the paper's numbers"]

@@ -60,6 +60,29 @@ def test_a_deviation_is_the_stated_one_else_the_tables_of_a_stated_value_else_th
     assert DEFAULTS.std("wire.resistance") > 1.0
     assert Parameters.of_paper().std("wire.resistance") == 0.05
     assert p.replace(uncertainty={"wire.resistance": 0.001}).std("wire.resistance") == 0.001
+    # The table's number is that of one wire: of others it is limited to shares of their value.
+    shares = {"wire.resistance": (170.0, 0.01), "wire.diameter": (25e-6, 0.02),
+              "wire.mass": (3e-7, 0.02), "wire.surface_area": (8e-6, 0.03),
+              "load.force": (0.1, 0.05), "load.stiffness": (5e3, 0.02)}  # fmt: skip
+    for name, (value, share) in shares.items():
+        assert Parameters({name: value}).std(name) == pytest.approx(share * value)
+    assert Parameters({"load.preload": 0.0}).std("load.preload") == 0.2
+
+
+def test_mass_and_area_that_nobody_stated_are_those_of_the_stated_length_and_diameter():
+    wire = Parameters({"wire.length": 0.2, "wire.diameter": 0.15e-3})
+    assert wire["wire.mass"] == pytest.approx(22.8e-6, rel=1e-3)
+    assert wire["wire.surface_area"] == pytest.approx(94.25e-6, rel=1e-3)
+    assert wire.given == {"wire.length", "wire.diameter"}
+    assert wire.std("wire.mass") == pytest.approx(0.1 * wire["wire.mass"])
+    longer = wire.replace({"wire.length": 0.4, "wire.mass": 30e-6})
+    assert longer["wire.mass"] == 30e-6
+    assert longer["wire.surface_area"] == pytest.approx(188.5e-6, rel=1e-3)
+    assert Parameters({"wire.length": 0.2})["wire.mass"] == DEFAULTS["wire.mass"]
+
+
+def test_a_deviation_is_refused_if_negative_or_of_a_limit():
+    p = Parameters({"wire.resistance": 2.7})
     assert "expected a standard deviation" in complaint(
         p.replace, uncertainty={"wire.resistance": -1.0}
     )
