@@ -4,7 +4,7 @@ a law more strongly than its predictions of other runs justify. If nothing is st
 laws have free convection; the likeliest and the paper's cosine are fitted with constant h, too."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -25,6 +25,7 @@ from sma_bench.estimation.solver import (
 )
 from sma_bench.estimation.unknowns import (
     TEMPERATURES,
+    Unknown,
     Unknowns,
     as_in_the_field,
     range_of,
@@ -86,9 +87,11 @@ class LawFit:
 
 
 def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
-               quantities: Sequence[str], report: Report = silent) -> tuple[LawFit, ...]:
+               quantities: Sequence[str], report: Report = silent,
+               more: tuple[Unknown, ...] = ()) -> tuple[LawFit, ...]:
     """Laws that a wire may follow, the most probable first: the stated one, else all (`extended` if
-    one of its own parameters is stated). InputError: none fits, or all contradict the stated."""
+    one of its own parameters is stated). `more`: unknowns to be fitted along. InputError: none
+    fits, or all contradict the stated."""
     stated = "wire.law" in parameters.given
     known = [n for n in PRIOR if n != "extended" or parameters.given & {*ORIENTING[n]}]
     laws = [parameters["wire.law"]] if stated else known
@@ -108,6 +111,8 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
             own = as_in_the_field(parameters.assuming(assumed, {}))
             unknowns = unknowns_of_records(own, quantities, load_frame=framed, sides_apart=True,
                                            unmodelled=True)
+            unknowns = replace(unknowns, items=(*unknowns.items, *more),
+                               baseline=unknowns.baseline + len(more))
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
             if air != usual:  # also from the fit with the usual convection, for the unknowns it has
                 one, begin = fits[law, usual][0][0], unknowns.start().tolist()

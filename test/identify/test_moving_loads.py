@@ -171,6 +171,25 @@ def test_a_lag_of_the_thermometer_does_not_change_the_wires_parameters():
     assert {one.verdict for one in found.fit.values()} == {"ok"}
 
 
+def lagging(record, seconds, seed=8):
+    """The record as a thermometer with this lag, and a noise of 0.1 K, reads it."""
+    hot, random = record["wire.temperature"], np.random.default_rng(seed)
+    read = first_order_lag(hot.values, np.exp(-0.04 / seconds), hot.values[0])
+    hot = replace(hot, values=read + 0.1 * random.standard_normal(len(read)))
+    return replace(record, signals={**record.signals, hot.name: hot})
+
+
+def test_a_lag_that_nobody_stated_does_not_decide_for_another_law():
+    # A slow wire: its temperature shows the lag and the transformation.
+    slow = {"wire.heat_transfer_coefficient": 90.0, "wire.specific_heat": 450.0}
+    believed = moving_lab("force", more=slow)
+    record = recorded(drawn(believed), "triangle", 3, "voltage", "current", "temperature",
+                      "elongation", top=2.6)
+    found = identify([lagging(record, 1.5)], believed)
+    assert found.law.name == "cosine"
+    assert abs(found.estimates["sensor.temperature.lag"].value - 1.5) < 0.05
+
+
 def test_a_resistance_stated_far_off_is_named_if_the_currents_do_not_fit_it():
     truth = moving_lab("force")
     record = recorded(truth, "triangle", 3, "voltage", "current", "temperature", "elongation")
