@@ -163,7 +163,7 @@ def test_what_param_dump_writes_param_load_sets_and_whatever_is_set_is_answered_
                 node.set_parameters([RosParameter(parameter, value=usual)])
 
 
-def test_every_node_reports_ready_once_and_its_status_and_its_name_if_it_cannot_start(
+def test_every_node_announces_itself_once_then_its_status_and_its_name_if_it_cannot_start(
     bench, tmp_path
 ):
     def speaking():
