@@ -90,7 +90,7 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
                quantities: Sequence[str], report: Report = silent,
                more: tuple[Unknown, ...] = ()) -> tuple[LawFit, ...]:
     """Laws that a wire may follow, the most probable first: the stated one, else all (`extended` if
-    one of its own parameters is stated). `more`: unknowns to be fitted along. InputError: none
+    one of its own parameters is stated). `more`: further unknowns of the fit. InputError: none
     fits, or all contradict the stated."""
     stated = "wire.law" in parameters.given
     known = [n for n in PRIOR if n != "extended" or parameters.given & {*ORIENTING[n]}]
