@@ -231,7 +231,7 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
         mean = _mean(samples(record, "elongation")[1]) if held else (0.0, 0.0)
         return (Hold(start, stop, True, *mean),)
     if not has_samples(record, "force"):
-        raise InputError(f"{record.path}: elongation without force, expected the load held")
+        raise InputError(f"{record.path}: elongation without force, expected one, or load.kind")
     time, force = samples(record, "force")
     plateaus, held_for = _plateaus(record)
     if held_for < _MOSTLY * (time[-1] - time[0]):

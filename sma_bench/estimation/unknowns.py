@@ -23,13 +23,7 @@ from sma_bench.estimation.transitions import (
 )
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECT_TABLE, Parameter
-from sma_bench.parameters.parameters import (
-    BRANCH,
-    ORIENTING,
-    SMOOTHER,
-    load_kind,
-    nearest_spread,
-)
+from sma_bench.parameters.parameters import BRANCH, ORIENTING, SMOOTHER, load_kind, nearest_spread
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import FRESH_START

@@ -14,7 +14,7 @@ from sma_bench.arrays import Array, Mask
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameter import TRANSITIONS
 
 GAUGE = "sensor.deflection.gain"
 MODULI = ("wire.martensite_modulus", "wire.austenite_modulus")
@@ -64,9 +64,8 @@ def mean_and_deviation(readings: Sequence[tuple[float, float]]) -> tuple[float, 
 
 def diameter_error(parameters: Parameters) -> float:
     """Relative error of the diameter that stress is computed from: stated, else the table's."""
-    name = "wire.diameter"
-    usual = BY_NAME[name].uncertainty or 0.0
-    return (parameters.std(name) if name in parameters.given else usual) / parameters[name]
+    diameter = parameters["wire.diameter"]
+    return parameters.replace({"wire.diameter": diameter}).std("wire.diameter") / float(diameter)
 
 
 def scatter(values: Array) -> float:

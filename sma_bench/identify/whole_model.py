@@ -100,10 +100,8 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
     if moving and load_kind(parameters) in priors.LOADS and "deflection" in quantities:
         laws = weighing.weigh_laws(observations, parameters, quantities, report)
         fitted, tried = _with_lag(laws[0].fit, list(laws[0].tried), parameters)
-        if fitted is not laws[0].fit and _misses_temperature(fitted):
-            # Without the lag, the temperatures may have decided for a wrong law.
-            lag = next(item for item in fitted.unknowns.items if item.name == LAG)
-            lag = replace(lag, mean=float(fitted.parameters[LAG]))
+        if fitted is not laws[0].fit:  # without the lag, temperatures may decide for a wrong law
+            lag = replace(fitted.unknowns.items[-1], mean=float(fitted.parameters[LAG]))
             laws = weighing.weigh_laws(observations, parameters, quantities, report, (lag,))
             fitted, tried = laws[0].fit, list(laws[0].tried)
         laws = (replace(laws[0], fit=fitted, tried=tuple(tried)), *laws[1:])
@@ -169,15 +167,12 @@ def _of_laws(laws: Sequence[weighing.LawFit]) -> Iterator[Finding]:
         yield remark("repeats", repeats=repeats)
 
 
-def _misses_temperature(fitted: Fit) -> bool:
-    return any(float(np.std(fitted.residual[block.rows])) > _FLOOR * block.signal.noise
-               for block in fitted.problem.blocks if block.signal.quantity == "temperature")
-
-
 def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fit, list[Fit]]:
     """Refit with the thermometer's lag if temperatures misfit or one is given; the better fit."""
     mean, std = float(parameters[CAMERA_LAG]), parameters.std(CAMERA_LAG)
-    if parameters[LAG] or std == 0.0 or not (_misses_temperature(fitted) or mean):
+    missed = any(float(np.std(fitted.residual[block.rows])) > _FLOOR * block.signal.noise
+                 for block in fitted.problem.blocks if block.signal.quantity == "temperature")
+    if parameters[LAG] or std == 0.0 or not (missed or mean):
         return fitted, tried
     if CAMERA_LAG not in parameters.given_uncertainty:  # not measured on this thermometer
         std = max(std, float(BY_NAME[LAG].uncertainty or 0.0))

@@ -32,12 +32,11 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
         clashes = [finding.subject for finding in papers if finding.severity != "info"]
         found = [finding for finding in found if finding not in papers]
         if papers:
-            count = f"{len(papers)} checks rest on the paper's own numbers"
-            text = f"{count}, {len(clashes)} of them clash"
+            text, few = f"{len(papers)} checks rest on the paper's own numbers", len(clashes)
+            text += f", {few} of them clash"
             if clashes:
                 text += f" ({', '.join(clashes)}); sma-bench audit --paper lists them"
-            number = {"clashes": float(len(clashes))}
-            found.append(Finding("info", "the paper's numbers", text, number))
+            found.append(Finding("info", "the paper's numbers", text, {"clashes": float(few)}))
     return [replace(finding, audit=True) for finding in found]
 
 
@@ -116,8 +115,7 @@ def _material(p: Parameters) -> list[Finding]:
                for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
                if kelvin[upper] >= kelvin[lower]]
     numbers, text = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
-    clash = "overlap" if clashes else ""
-    order = _judged(p, "transition order", clash, numbers, clashes=text, **kelvin)
+    order = _judged(p, "transition order", "overlap" * bool(text), numbers, clashes=text, **kelvin)
     low, high, theta = (p[f"wire.{name}"] for name in (
         "martensite_modulus", "austenite_modulus", "thermal_expansion_factor"))
     moduli = _judged(p, "moduli", "swapped" * (low > high), {"martensite": low, "austenite": high})

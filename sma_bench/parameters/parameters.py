@@ -126,8 +126,7 @@ class Parameters(Mapping[str, Value]):
         if "wire.heat_transfer_coefficient" not in self.given:
             h = _DEFAULTS["wire.heat_transfer_coefficient"]
             if self["wire.convection"] == "free":
-                ambient = self["environment.ambient_temperature"]
-                surface = ambient + REFERENCE_EXCESS
+                surface = (ambient := self["environment.ambient_temperature"]) + REFERENCE_EXCESS
                 h = natural_convection(self["wire.diameter"], surface, ambient)
                 h += radiation(OXIDISED, surface, ambient)
             self._values["wire.heat_transfer_coefficient"] = h
@@ -223,8 +222,7 @@ class Parameters(Mapping[str, Value]):
 
     def __repr__(self) -> str:
         stated = ", ".join(f"{name}={self[name]!r}" for name in sorted(self.given))
-        if len(stated) > _LONGEST_LIST:
-            stated = f"{stated[:_LONGEST_LIST]}..."
+        stated = f"{stated[:_LONGEST_LIST]}..." if len(stated) > _LONGEST_LIST else stated
         return f"<Parameters: {len(self.given)} stated: {stated}>"
 
     def std(self, name: str) -> float:
@@ -280,9 +278,8 @@ def wire_length_from_mass(parameters: Mapping[str, Any]) -> float:
 
 def as_recorded(parameters: Parameters) -> Parameters:
     """The bench as in its records, which hold the direct voltage, whatever the drive."""
-    if parameters["bench.drive"] == "voltage":
-        return parameters
-    return parameters.replace({"bench.drive": "voltage"})
+    direct = parameters["bench.drive"] == "voltage"
+    return parameters if direct else parameters.replace({"bench.drive": "voltage"})
 
 
 # --- Heat loss of a thin wire to still air and by radiation, `wire.convection: free`: h(T) by

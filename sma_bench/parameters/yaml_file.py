@@ -81,12 +81,8 @@ def stated_names(named: Mapping[str, Any]) -> Mapping[str, Any]:
     """The values that someone stated: all, but in a dump of a node only those off their default."""
     if not named.keys() >= BY_NAME.keys():
         return named
-
-    def is_default(p: Parameter) -> bool:
-        std = named.get(UNCERTAINTY_PREFIX + p.name, p.default_std)
-        return _plain(named[p.name]) == _plain(p.default) and std == p.default_std
-
-    defaults = {p.name for p in TABLE if is_default(p)}
+    defaults = {p.name for p in TABLE if _plain(named[p.name]) == _plain(p.default)
+                and named.get(UNCERTAINTY_PREFIX + p.name, p.default_std) == p.default_std}
     return {n: v for n, v in named.items() if n.removeprefix(UNCERTAINTY_PREFIX) not in defaults}
 
 
