@@ -129,11 +129,13 @@ class Run:
 
     def __init__(self, outputs: Outputs, loop: OpenLoop, guard: Guard, readiness: Readiness,
                  channels: int, autostart: bool = False, feedback_timeout: float = 1.0,
-                 steady: float = 0.0) -> None:
+                 steady: float = 0.0, command_timeout: float = math.inf) -> None:
         """`autostart`: start as soon as possible; `feedback_timeout`: s without readings that a
-        step waits for; `steady`: s for which readings must come in time before a start."""
+        step waits for; `steady`: s for which readings must come in time before a start;
+        `command_timeout`: s without a command until the bench goes to 0 V by itself."""
         self._outputs, self._loop, self._guard, self._readiness = outputs, loop, guard, readiness
         self._feedback_timeout, self._steady = feedback_timeout, steady
+        self._command_timeout = command_timeout
         self._zero, self._autostart, self._start_by = [0.0] * channels, autostart, math.inf
         self._watched = self._late = -math.inf  # s: last watch; last time that something was late
         self._aborted = ""  # the first reason since the last reset
@@ -203,7 +205,10 @@ class Run:
 
     def tick(self, now: float, time: float) -> None:
         """Send the command for this time, or 0 V."""
-        self._time = time
+        silent, self._time = time - self._time, time
+        if self.running and self._started is not None and silent > self._command_timeout:
+            self.abort(f"no command was sent for {silent:.2f} s, bench.command_timeout is "
+                       f"{self._command_timeout:g} s: the outputs were at 0 V")
         self.check(now)
         if not self.running or self.protocol is None or now < self._begin:
             if self.state != IDLE:

@@ -45,6 +45,9 @@ class BenchNode(OverridableNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        if "twin" in self.get_namespace().split("/"):
+            raise InputError(f"namespace {self.get_namespace()}: recorders and readers ignore "
+                             "topics below twin/, expected another name")
         self.failure: InputError | None = None
         self.claims = [claimed(self.get_fully_qualified_name())]
         # A change of clock during a run would spoil all stamps.
@@ -120,7 +123,7 @@ class BenchNode(OverridableNode):
             try:
                 out = act()
             except InputError as error:
-                out = False, str(error)
+                out = False, " ".join(str(error).split())
             response.success, response.message = out if isinstance(out, tuple) else (True, out)
             return response
 

@@ -54,7 +54,8 @@ class ExperimentNode(BenchNode):
         self.check_settings(settings)
         self._run = Run(self, self._loop, self._guard, self._readiness, len(channels),
                         settings["autostart"], self._feedback_timeout,
-                        0.0 if self.simulated else _STEADY)
+                        0.0 if self.simulated else _STEADY,
+                        self.parameters["bench.command_timeout"])
         self._command = self.create_publisher(Float64MultiArray, ros.COMMAND, ros.READINGS)
         self.mark = self.line("experiment/marker")
         self._publish_state, self._publish_progress = self.line("~/state"), self.line("~/progress")
@@ -138,12 +139,14 @@ class ExperimentNode(BenchNode):
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
         stamp = ros.seconds_of(message)
         self._guard.power(channel, message.voltage, message.current, stamp, now, limits)
+        self._run.check(now)  # the next reading may hide this one's fault
 
     def on_temperature(self, channel: str, message: Temperature) -> None:
         kelvin, stamp = message.temperature + CELSIUS_ZERO, ros.seconds_of(message)
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
         self._guard.temperature(channel, kelvin, stamp, now, limits)
         self._run.heard("temperature", channel, kelvin, stamp, now)
+        self._run.check(now)
 
     def on_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
@@ -171,10 +174,11 @@ class ExperimentNode(BenchNode):
 
     def surroundings(self) -> Surroundings:
         topics = (BRIDGE, RECORDER, *self._others)
+        readings = map(self.resolve_topic_name, self._guard.wanted)
         return Surroundings(self._command.get_subscription_count() > 0,
                             self._bench_clock.now().nanoseconds > 0,
                             {name for name in topics if self.count_publishers(name)},
-                            lambda: list(ros.recorded_topics(self)))
+                            lambda: [*{*ros.recorded_topics(self), *readings}])
 
     def send(self, voltage: list[float]) -> None:
         self._command.publish(self._labelled(voltage))

@@ -86,7 +86,7 @@ class JobNode(WorkNode):
             self.on_result(result)
             return result
         except InputError as error:
-            failure = str(error)
+            failure = " ".join(str(error).split())
             raise
         finally:
             self._enter("idle", failure)

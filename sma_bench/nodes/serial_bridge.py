@@ -94,12 +94,16 @@ class SerialBridge(BenchNode):
                 self._topics.joint(stamp, reading.deflection)
             self._readings += 1
             self._oldest = max(self._oldest, time.monotonic() - reading.time)
-        if reason := self._driver.tick(time.monotonic()):
-            self.get_logger().error(f"0 V: {reason}")
+            self._check()  # the next reading may hide this one's fault
+        self._check()
         self._publish_state()
         while self._events:
             if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
+
+    def _check(self) -> None:
+        if reason := self._driver.tick(time.monotonic()):
+            self.get_logger().error(f"0 V: {reason}")
 
     def on_command(self, message: Float64MultiArray) -> None:
         driver, now = self._driver, time.monotonic()
@@ -113,6 +117,7 @@ class SerialBridge(BenchNode):
         taken = (ros.stamp_of(message) - self._to_ros) / ros.NANOSECONDS
         self._kelvin[channel] = kelvin
         self._guard.temperature(channel, kelvin, taken, time.monotonic(), self._limits)
+        self._check()
 
     def _ask(self, act: Callable[[], str | None]) -> tuple[bool, str]:
         """Let the driver act; returns success and its message, or the bench's state after it."""

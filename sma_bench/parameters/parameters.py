@@ -23,7 +23,7 @@ _OF_SIZE = 0.1  # relative deviation of a mass or area that follows from length 
 _LONGEST_LIST = 800  # characters of a repr
 _SPREAD = "wire.hysteresis_spread"
 _DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
-_CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+_CHANNEL_NAME = re.compile(r"(?!ambient\Z)[A-Za-z][A-Za-z0-9_]*\Z")
 # Pairs of which the first must lie below the second.
 ORDERED = ((TRANSITIONS["A_s"], TRANSITIONS["A_f"]), (TRANSITIONS["M_f"], TRANSITIONS["M_s"]))
 # Laws whose martensite strain depends on the load: where it begins, or its share at 0; its rise.
@@ -141,9 +141,9 @@ class Parameters(Mapping[str, Value]):
         channels, sides, law = self["bench.channels"], self["bench.channel_sides"], self["wire.law"]
         if not channels:
             yield "bench.channels is empty, expected one name or more"
-        rule = "(a letter, then letters, digits, underscores)"
+        rule = "(a letter, then letters, digits, underscores; not ambient)"
         for channel in (name for name in channels if not _CHANNEL_NAME.match(name)):
-            yield f"bench.channels: {channel!r} is not a ROS name {rule}"
+            yield f"bench.channels: {channel!r} cannot name a channel {rule}"
         if len(set(channels)) != len(channels):
             yield f"bench.channels: {list(channels)} has a name twice"
         if len(sides) != len(channels):

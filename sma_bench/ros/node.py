@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import rclpy
-from rclpy.exceptions import InvalidNamespaceException, ParameterException
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation as rcl
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -43,7 +44,8 @@ OneThreadExecutor = EventsExecutor
 READINGS = QoSProfile(depth=2000)
 # States and results: a late subscriber gets the last one, too.
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-_READINGS_DEPTH, _NEWEST_DEPTH = 50, 2  # queues: a subscription to READINGS; `newest` endpoints
+_READINGS_HEARD = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+_NEWEST_DEPTH = 2  # queue of `newest` endpoints
 _LEAVING = 0.2  # s in which a peer on a busy machine reads what it has received
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
                                      QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
@@ -92,7 +94,7 @@ class OverridableNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         try:
             super().__init__(name, cli_args=self.own_arguments, **options)
-        except (rcl.RCLError, rcl.UnknownROSArgsError, InvalidNamespaceException) as error:
+        except (rcl.RCLError, rcl.UnknownROSArgsError, NameValidationException) as error:
             raise InputError(" ".join(str(error).rstrip("^ ").split())) from None
         self._ros_is_ready = True
 
@@ -101,11 +103,24 @@ class OverridableNode(Node):
         return self._endpoint(super().create_publisher, what, newest, options)
 
     def create_subscription(self, *what: Any, newest: bool = False, **options: Any) -> Subscription:
-        """Arguments: message type, topic, callback, QoS; READINGS match best-effort publishers."""
+        """Arguments: message type, topic, callback, QoS; READINGS match best-effort publishers. One
+        of BEST_AVAILABLE is made again when a publisher appears that offers less."""
         if what[-1] is READINGS:
-            profile = QoSProfile(depth=_READINGS_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-            what = (*what[:-1], profile)
-        return self._endpoint(super().create_subscription, what, newest, options)
+            what = (*what[:-1], _READINGS_HEARD)
+
+        def offered_less(event: Any) -> None:
+            policy = QoSPolicyKind(event.last_policy_kind).name.lower()
+            follows = getattr(made.qos_profile, policy).name == "BEST_AVAILABLE"  # no override
+            self.get_logger().warning(f"{what[1]}: a publisher has another {policy}: "
+                                      f"{'subscribed again' if follows else 'it is not heard'}")
+            if follows:
+                self.destroy_subscription(made)
+                self.create_subscription(*what, newest=newest, **options)
+
+        if getattr(what[-1], "reliability", None) == ReliabilityPolicy.BEST_AVAILABLE:
+            options["event_callbacks"] = SubscriptionEventCallbacks(incompatible_qos=offered_less)
+        made: Subscription = self._endpoint(super().create_subscription, what, newest, options)
+        return made
 
     def _endpoint(self, create: Callable[..., Any], what: Any, newest: bool,
                   options: dict[str, Any]) -> Any:
@@ -119,9 +134,9 @@ class OverridableNode(Node):
             profile.depth = _NEWEST_DEPTH
         try:
             return create(*first, profile, **options)
-        except (RuntimeError, AssertionError, ParameterException) as error:
-            words = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"QoS of {what[1]}: {words}") from None
+        except (NameValidationException, RuntimeError, AssertionError, ParameterException) as error:
+            words = " ".join(str(error).rstrip("^ \n").split()) or type(error).__name__
+            raise InputError(f"topic {what[1]:.80}: {words}") from None
 
 
 class BenchTopics:

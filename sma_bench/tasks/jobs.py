@@ -147,8 +147,8 @@ def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
         # A bag from elsewhere may contain a link to any file of this computer.
         parts = [found, *(found.iterdir() if found.is_dir() else ())]
         outside = not all(is_inside(part, top) for part in parts)
-    except (OSError, ValueError):  # no permission, a zero byte
-        outside = True
+    except OSError as error:  # no permission, too long a name
+        raise InputError(f"{parameter}: {found}: cannot be read: {error.strerror}") from None
     if outside:
         where = root or f"{top.resolve()} (where the node was started)"
         if root in ("", OWN_ROOT):

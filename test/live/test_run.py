@@ -87,6 +87,19 @@ def assert_cold(bench, reason):
     assert not any(map(any, bench.sent[before - 1 :]))
 
 
+def test_a_run_whose_commands_paused_is_aborted_because_the_bench_was_at_0_v_meanwhile():
+    bench = Bench()
+    bench.run = Run(bench, OpenLoop(), bench.guard, bench.readiness, 1, command_timeout=0.4)
+    assert bench.start()[0]
+    for pause in (0.3, 0.42):
+        bench.spend(0.5)
+        assert bench.state == "running: long" and bench.sent[-1] == [3.0]
+        bench.now += pause  # a busy computer; the readings come in time again
+        bench.read()
+        bench.run.tick(bench.now, bench.now)
+    assert_cold(bench, "no command was sent for 0.42 s, bench.command_timeout is 0.4 s")
+
+
 UNHEARD = "warm waits for it: stale feedback: nothing new from temperature wire"
 
 

@@ -65,11 +65,14 @@ class Commander:
         if self.voltage is not None:
             self.send(*self.voltage)
         if self.fever is not None:
-            message = Temperature()
-            message.header.stamp = self.bench.node.get_clock().now().to_msg()
             kelvin = self.kelvin or float(self.hardware.plant.bench.temperature[0])
-            message.temperature = kelvin - CELSIUS_ZERO + self.fever
-            self._camera.publish(message)
+            self.show(kelvin - CELSIUS_ZERO + self.fever)
+
+    def show(self, celsius):
+        """Publish one temperature."""
+        message = Temperature(temperature=celsius)
+        message.header.stamp = self.bench.node.get_clock().now().to_msg()
+        self._camera.publish(message)
 
 
 class BridgedRig(Commander):

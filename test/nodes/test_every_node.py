@@ -178,11 +178,12 @@ def test_every_node_announces_itself_once_then_its_status_and_its_name_if_it_can
         node.process.send_signal(signal.SIGINT)
     for name, node in nodes.items():
         assert node.process.wait(60.0) == 0
-        assert node.output.count("ready") == node.output.count(f"[bench.{name}]: ready\n") == 1
+        assert node.output.count("ready\n") == node.output.count(f"[bench.{name}]: ready\n") == 1
     for name, arguments, said in (
         ("twin", ["--params-file", "none.yaml"], "[twin]: none.yaml: cannot read"),
         ("ir_camera", ["-p", "wires:=['']"], "[ir_camera]: -p: unknown parameter wires"),
         ("recorder", ["-r", "a:b:c"], "[recorder]: "),
+        ("simulator", ["-r", "__ns:=/cell/twin"], "[simulator]: namespace /cell/twin: "),
         ("recorder", ["-p", f"output:={tmp_path}"], f"[recorder]: {tmp_path}: exists already"),
     ):
         node = bench.start_with(name, ["--ros-args", *arguments])
@@ -213,6 +214,8 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
     ("serial_bridge", "telemetry_rate:=300", "telemetry_rate is 300 Hz, expected a divisor"),
     ("serial_bridge", "use_sim_time:=true", "but hardware runs in real time"),
     ("deflection_controller", "wire.count:=1", "clamped"),
+    ("simulator", "bench.channels:=[ambient]", "'ambient' cannot name a channel"),
+    ("simulator", f"bench.channels:=[{'x' * 300}]", "Invalid topic name"),
     ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
     ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
 ])  # fmt: skip

@@ -11,6 +11,7 @@ import yaml
 from fake_bench import FakeBench
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Temperature
 from std_msgs.msg import String
 
 from sma_bench.ros.node import LATCHED
@@ -113,6 +114,13 @@ def test_limits_and_clock_stay_and_any_report_of_a_fault_ends_the_run(
     aborts("over-temperature: wire at 160.0 degC")
     assert not bench.set_parameter("experiment", limit, 700.0).successful
     assert bench.set_parameter("experiment", heat_transfer, 200.0).successful
+    start()
+    camera = bench.talk("wire/temperature", Temperature)
+    for celsius in (160.0, 25.0):  # before the next command is due
+        message = Temperature(temperature=celsius)
+        message.header.stamp = bench.node.get_clock().now().to_msg()
+        camera.publish(message)
+    aborts("over-temperature: wire at 160.0 degC")
     start()
     fake.ampere = 3.5
     aborts("over-current: wire at 3.50 A, limit 3 A")

@@ -12,6 +12,7 @@ from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.records import read_record
+from sma_bench.ros.node import LATCHED
 
 BEST_EFFORT = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -63,6 +64,26 @@ def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, 
     assert record["wire.temperature"].values == pytest.approx([293.15 + k for k in range(burst)])
     assert record["wire.voltage"].values == pytest.approx([2.0])
     assert not [f for f in record.findings if f.severity != "info"]
+
+
+def test_a_publisher_that_comes_later_and_offers_less_is_recorded_too(bench, tmp_path):
+    """A best-effort driver instead of a reliable one; a volatile marker beside a latched one."""
+    first = bench.node.create_publisher(Temperature, "wire/temperature", 10)
+    latched = bench.node.create_publisher(String, "experiment/marker", LATCHED)
+    topics = "/bench/wire/temperature", "/bench/experiment/marker"
+    node, counts = recording(bench, tmp_path / "bag", *topics)
+    bench.until(lambda: first.get_subscription_count() and latched.get_subscription_count())
+    first.publish(temperature(0))
+    latched.publish(String(data="a/1"))
+    bench.until(lambda: counts() == dict(zip(topics, (1, 1), strict=True)))
+    bench.node.destroy_publisher(first)
+    later = bench.node.create_publisher(Temperature, "wire/temperature", BEST_EFFORT)
+    marker = bench.node.create_publisher(String, "experiment/marker", 10)
+    bench.until(lambda: later.get_subscription_count() and marker.get_subscription_count())
+    later.publish(temperature(1))
+    marker.publish(String(data="a/2"))
+    bench.until(lambda: counts() == dict(zip(topics, (2, 2), strict=True)))
+    assert node.output.count("subscribed again") == 2
 
 
 HANGS_AT_ITS_END = """

@@ -59,6 +59,14 @@ def test_the_bridge_speaks_the_contract_drives_only_when_enabled_and_says_what_i
         newest = rig.power[-50:]
         assert sum(m.voltage for m in newest) / 50 == pytest.approx(3.0, rel=0.02)
         assert sum(m.current for m in newest) / 50 == pytest.approx(3.0 / 2.6987, rel=0.03)
+        # A temperature beyond the limit counts, even if the next one comes at once.
+        rig.show(200.0)
+        rig.show(40.0)
+        rig.until(lambda: rig.state.startswith("stopped: over-temperature: wire at 200.0 degC"))
+        rig.ask("reset")
+        rig.until(lambda: rig.state == "idle")
+        rig.enable()
+        rig.drive(3.0)
         answer = rig.ask("stop")
         assert answer.success and answer.message == "stopped: stopped on request"
         rig.until(lambda: rig.power[-1].voltage == 0.0)
