@@ -45,8 +45,8 @@ def stress(temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: 
 
 def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
             sag: ArrayLike = 0.0) -> Array:
-    """I = n (V - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by u
-    [V]; eq. (3) with all effects off. `voltage`: as read or commanded, any shape; mean of a duty.
+    """I = n (V - V_0 - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by
+    u [V]; eq. (3) with all effects off. `voltage`: as read or commanded, any shape; mean of a duty.
     A source of current keeps n V/R, one of power n V^2/R [W], whatever the resistance."""
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     names = ("austenite_change", "hump", "temperature_coefficient", "martensite_coefficient")
@@ -62,8 +62,8 @@ def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, 
         return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
     resists = resistance + count * leads
-    if parameters["effect.supply_drop.battery"]:
-        volts = np.maximum(volts - np.asarray(sag, dtype=np.float64), 0.0)
+    lost = parameters["effect.supply_drop.threshold"] + np.asarray(sag, dtype=np.float64)
+    volts = np.where(lost > 0.0, np.maximum(volts - lost, 0.0), volts)
     found, overload = count * volts / resists, count * parameters["effect.supply_drop.overload"]
     knee = parameters["effect.supply_drop.knee"]
     beyond = (count * volts + overload * knee) / (resists + overload)

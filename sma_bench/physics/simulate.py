@@ -70,7 +70,8 @@ class Readings:
 
 # With these the current is not in proportion to the voltage. Least share of the highest voltage
 # that drives: less may be noise around 0.
-_NOT_OHMIC, _DRIVES = ("effect.supply_drop.overload", "effect.supply_drop.battery"), 0.01
+_NOT_OHMIC = tuple(f"effect.supply_drop.{n}" for n in ("threshold", "overload", "battery"))
+_DRIVES = 0.01
 
 
 @dataclass(eq=False, repr=False)

@@ -53,7 +53,7 @@ def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_
 
 
 @pytest.mark.parametrize("drop", [{"battery": 0.6, "battery_time": 8.0},
-                                  {"overload": 0.8, "knee": 0.8}])
+                                  {"overload": 0.8, "knee": 0.8}, {"threshold": 0.7}])
 def test_currents_are_predicted_with_what_the_supply_drops(drop, tmp_path):
     bench = true_bench().replace({f"effect.supply_drop.{n}": value for n, value in drop.items()})
     obs = observe(planted_record(tmp_path / "bag", bench=bench), bench, 0.2, ("current",))

@@ -41,6 +41,8 @@ CASES = [
      ("residual_strain", "transition_drift", "viscoelastic_matrix")),
     ({"effect.supply_drop.battery": 0.6, "effect.supply_drop.battery_time": 8.0}, ALL,
      ("supply_drop", "ambient_drift", "phase_dependent_resistance")),
+    ({"effect.supply_drop.threshold": 0.4}, ALL,
+     ("supply_drop", "ambient_drift", "temperature_underfill", "phase_dependent_resistance")),
     ({"effect.opposing_wires.buckled": 0.4, "effect.opposing_wires.gap": 0.01}, ALL[1:],
      ("opposing_wires", "stress_dependent_transition", "side_asymmetry")),
     ({"effect.slack.rubbing_strain": 0.002, "effect.slack.friction": 5e6}, ALL[1:],
@@ -62,7 +64,8 @@ def expect(result, numbers):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("numbers", "quantities", "library"), CASES,
-                         ids=["viscous", "strained", "recovering", "battery", "buckled", "rubbing"])
+                         ids=["viscous", "strained", "recovering", "battery", "transistor",
+                              "buckled", "rubbing"])
 def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tmp_path):
     seen, unseen = planted_pair(tmp_path, numbers, quantities=quantities)
     with few_effects(library):

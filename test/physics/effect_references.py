@@ -124,6 +124,7 @@ class Heat:
         air = air + self.plume @ (wire - air)
         slope = self.effect("phase_dependent_resistance.temperature_coefficient")
         ohm = self.p["wire.resistance"] * (1 + slope * (wire - self.ambient))
+        volt = np.maximum(volt - self.effect("supply_drop.threshold"), 0.0)
         heating = ohm * (volt / (ohm + self.effect("supply_drop.resistance"))) ** 2
         capacity = self.effect("matrix_thermal_mass.heat_capacity")
         surface = silicone if capacity else wire

@@ -96,6 +96,15 @@ def test_an_overloaded_supply_heats_with_its_reduced_voltage():
     assert run.current == pytest.approx(plain.current, rel=1e-12)
 
 
+def test_a_transistor_keeps_its_voltage_at_any_current_and_passes_none_below_it():
+    time, voltage = pulses(0.05)
+    run = simulate(effect(COMPOSITE, "supply_drop: threshold=3.2"), time, voltage)
+    plain = simulate(COMPOSITE, time, np.maximum(voltage - 3.2, 0.0))
+    assert run.temperature == pytest.approx(plain.temperature, rel=1e-12)
+    assert run.current == pytest.approx(plain.current, rel=1e-12)
+    assert np.any(run.current > 0.0) and np.any(run.current[voltage > 0.0] == 0.0)
+
+
 def test_a_battery_sags_and_recovers_with_its_time_constant():
     time, volts, share, tau = np.arange(0.0, 60.0, 0.01), 5.0, 0.4 / 2.6987, 8.0
     voltage = np.outer(np.where(time < 30.0, volts, 0.0), np.ones(4))
@@ -127,7 +136,7 @@ def test_all_effects_on_the_heat_together_converge_to_the_equations(sides, matri
         f"matrix_thermal_mass: heat_capacity={matrix} inner_share=0.4, "
         "side_heat_coupling: conductance=0.05 plume=-0.2, ambient_drift: rate=0.02 bend=1e-3 "
         "gust=5 instant=2 fading=6, matrix_thermal_mass: clamp_conductance=0.03 clamp_time=3, "
-        "temperature_dependent_convection: rise=4e-3, supply_drop: resistance=0.2, "
+        "temperature_dependent_convection: rise=4e-3, supply_drop: resistance=0.2 threshold=0.1, "
         "phase_dependent_resistance: temperature_coefficient=2e-3",
     )
     time, voltage = pulses(0.25, 12.0)

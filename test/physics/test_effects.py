@@ -133,7 +133,7 @@ with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     from sma_bench.physics import simulate
     simulate(rig, time[:2], voltage[:2, :3])
-    run = simulate(rig, time, 1.25 * voltage[:, :3])
+    run = simulate(rig, time, 1.4 * voltage[:, :3])
 print(len([w for w in caught if "numba" in str(w.message)]))
 np.save(sys.argv[1], np.hstack([run.temperature, run.martensite_fraction, run.stress / 1e9,
                                 run.bending, run.temperature_reading]))
@@ -148,7 +148,7 @@ def test_without_numba_all_effects_give_the_same_and_one_warning(tmp_path, pytes
     assert plain.stdout.strip() == "1"
     rig = all_on(on_sides(Parameters.of_paper(), ("front", "back", "front")))
     time, voltage = pulses(0.1, 10.0)
-    run = simulate(rig, time, 1.25 * voltage[:, :3])
+    run = simulate(rig, time, 1.4 * voltage[:, :3])
     assert np.ptp(run.martensite_fraction) > 0.5
     compiled = np.hstack([run.temperature, run.martensite_fraction, run.stress / 1e9, run.bending,
                           run.temperature_reading])  # fmt: skip

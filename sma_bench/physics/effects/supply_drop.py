@@ -1,9 +1,11 @@
 """Voltage drop of leads, contacts and supply between the measured voltage and the wire.
 
-    V_wire = V - u - I R_s - max(I - I_k, 0) R_o,    I = (V - u)/(R + R_s) below I_k
+    V_wire = V - V_0 - u - I R_s - max(I - I_k, 0) R_o,    I = (V - V_0 - u)/(R + R_s) below I_k
     tau du/dt = R_b I - u
 
-R_s: leads and contacts; R_o: a supply or driver whose voltage drops above I_k; R_b, tau: a battery.
+V_0: transistors or diodes, without current below V_0; R_s: leads and contacts; R_o: a supply or
+driver whose voltage drops above I_k; R_b, tau: a battery. A transistor that switches a duty keeps a
+share of the voltage, as R_s does, not V_0.
 Source: Ohm's law; Thevenin's model of batteries (Plett, Battery Management Systems 1, 2015)."""
 
 import math
@@ -21,8 +23,9 @@ def power(wires, i, voltage, resistance, step):
         current = voltage / wires[i, at.RESISTANCE]
         return current * current * resistance
     resists = resistance + wires[i, at.SUPPLY_RESISTANCE]
-    if wires[i, at.BATTERY] > 0.0:
-        voltage = max(voltage - wires[i, at.SAG], 0.0)
+    lost = wires[i, at.THRESHOLD] + wires[i, at.SAG]
+    if lost > 0.0:
+        voltage = max(voltage - lost, 0.0)
     current = voltage / resists
     if current > wires[i, at.KNEE]:
         overload = wires[i, at.OVERLOAD]
