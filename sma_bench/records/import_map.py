@@ -373,11 +373,12 @@ class _Proposal:
         named, words = found[0] if found else "", set(cells.words_of(title))
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
         is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))
-        if not (meant or unused or is_wire or named == "time"):
-            self.ask(name, "is_it", named=named)
         other = min(words & {*WORDS["devices"], *WORDS["doubtful"]}, default="")
-        if other and not unused and named in (*_DRIVES, "duty", "power", "temperature"):
-            if other in WORDS["devices"] and not is_wire:
+        other = other if named in (*_DRIVES, "duty", "power", "temperature") else ""
+        if not (meant or unused or is_wire or other or named == "time"):
+            self.ask(name, "is_it", named=named)
+        if other and not unused:  # `IR camera [C]` may be of the wire, unlike `camera temperature`
+            if meant and other in WORDS["devices"] and not is_wire:
                 unused = f"of another device ({other}), not a wire"
             elif (named, other) != ("temperature", "sensor"):
                 self.ask(name, "which_device", word=other)

@@ -140,6 +140,19 @@ def test_unclear_titles_are_asked_and_answered_in_a_map(titles, scale, said, tmp
         np.testing.assert_allclose(record["elongation"].values, -MOVED, atol=1e-8)
 
 
+def test_a_column_that_may_be_of_the_wire_stands_in_the_map_that_asks(tmp_path, rig, capsys):
+    titles = ["time [ms]", "duty [%]", "position [mm]", "IR camera [degC]", "camera temperature"]
+    columns = [TIME * 1e3, DUTY * 100, PLACE * 1e3, 23.0 + 4e3 * MOVED, 30 + DUTY]
+    table = text_file(tmp_path / "a.csv", titles, columns)
+    out = ["--params", str(rig), "--out", str(tmp_path / "run")]
+    assert main(["import", str(table), *out]) == 2
+    said = capsys.readouterr().err
+    assert "'IR camera [degC]': of the wire, or of another device (camera)?" in said
+    assert main(["import", str(table), "--map", str(tmp_path / "run.map.yaml"), *out]) == 0
+    record = read_record(tmp_path / "run")
+    assert np.ptp(record["wire.temperature"].values) == pytest.approx(4e3 * np.ptp(MOVED), rel=1e-3)
+
+
 @pytest.mark.parametrize(("entry", "said"), CASES["entries"])
 def test_an_invalid_entry_of_a_map_is_named_with_its_place(entry, said, tmp_path):
     text = "time: {t: s}\nsignals: [{signal: wire.voltage, column: u, unit: V, clock: t, %s}]\n"
