@@ -37,8 +37,9 @@ _PEER = struct.Struct("3i")  # process, user and group at the other end of a soc
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TELLING = (  # characters that are plausible in a logger's file, if decoded rightly
     r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
-    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])|[ぁ-んァ-ヶ一-龥]{2}"
+    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])|[ぁ-んァ-ヶ一-龥]{2}|[！-～]"
 )
+_TITLES = "时间|电[压流]|位移|载荷|시간|전[압류]|온도|변위|하중|時間|電[圧流]|変位|荷重"
 
 
 class OverBudget(InputError):
@@ -112,8 +113,11 @@ def decoded_lines(content: bytes) -> list[str]:
         raise InputError("holds zero bytes, expected text in UTF-8, or UTF-16 with byte-order mark")
     with contextlib.suppress(UnicodeDecodeError):
         return content.decode("utf-8-sig").splitlines()
-    texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman", "cp932")]
-    return max(texts, key=lambda text: len(re.findall(_TELLING, text[:400_000]))).splitlines()
+    names = "cp1252", "cp850", "mac_roman", "cp932", "gbk", "cp949"
+    begun = {n: content[:400_000].decode(n, "replace") for n in names}
+    asian = [n for n, text in begun.items() if len(re.findall(_TITLES, text)) > 1]
+    name = max(asian or names[:4], key=lambda n: len(re.findall(_TELLING, begun[n])))
+    return content.decode(name, "replace").splitlines()
 
 
 def require_there(path: Path) -> None:

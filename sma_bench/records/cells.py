@@ -152,7 +152,7 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
     """Title and unit. The unit is `below` if given, or stands in brackets, after a slash or comma,
     or after an underscore or blank if it fits the title (the A of LVDT_A is no ampere). A factor
     (x10) stays with the unit, which is then unknown."""
-    text = " ".join(title.split())
+    text = " ".join(title.translate(_WIDE).split())
     if len(text) < 200 and (factor := PATTERNS.factor.search(text)):
         name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}", below)
         return name, f"{unit} {factor[0].strip()}".strip()
@@ -176,16 +176,21 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
         if known is None or is_open or is_side or unit.lower() == "adc":  # not volts, but counts
             continue
         meant = title_meanings(name)
-        sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
+        is_sign = mark in (" / ", "/", ",") and (mark, unit) != ("/", "F")  # wire/F: a force
+        sure = is_sign or any(fits(m, known.quantity) for m in meant)
         if sure or (not meant and unit.lower() not in WORDS["no_units"] and mark != " "):
             return name, unit
     unit = found[-1][1].strip() if found else ""
     if found and not PATTERNS.description.match(unit) and not text.startswith(("(", "[")):
+        if parse_unit((outside := split_title(text[: found[-1].start()]))[1]):
+            return outside  # Temp, °F (LGR S/N: 10338)
         return text[: found[-1].start()].rstrip(" ,_/"), unit
     return text, ""
 
 
-MISSING = frozenset(WORDS["missing"])
+_MISSING = frozenset(WORDS["missing"])
+OVERFLOW = 9.9e37  # infinity of SCPI instruments (9.91E37 is their NaN): no reading is as large
+_WIDE = {0xFEE0 + k: k for k in range(ord("!"), ord("~") + 1)}  # full-width letters and brackets
 _SHAPE = str.maketrans("23456789", "11111111")
 
 
@@ -200,20 +205,25 @@ def _parts(cell: Any) -> tuple[str, str, str] | None:
     return "-" * (found["sign"] in ("-", "−", "–")) + found["body"], power, unit
 
 
+def is_missing(cell: Any) -> bool:
+    """True for a cell that stands for no reading: empty, NaN, or a mark such as OL or -----."""
+    return str(cell).lower() in _MISSING or bool(PATTERNS.no_value.match(str(cell)))
+
+
 @lru_cache(maxsize=65536, typed=True)
 def cell_kind(cell: Any) -> str:
     """Kind of a cell: "n" number, "d" date or clock time, "t" text, "" missing value."""
     try:
-        return "n" if math.isfinite(float(cell)) else ""
+        return "n" if abs(float(cell)) < OVERFLOW else ""
     except ValueError:
-        kind = "n" if _parts(cell) else "d" if moment_of(cell) else "t"
-        return "" if cell.lower() in MISSING else kind
+        return "" if is_missing(cell) else "n" if _parts(cell) else "d" if moment_of(cell) else "t"
 
 
 def is_number_row(cells: Sequence[Any]) -> bool:
     """True for two or more cells with more numbers, dates and times than texts."""
     kinds = [cell_kind(cell) for cell in cells] if len(cells) > 1 else []
-    return kinds.count("n") + kinds.count("d") > kinds.count("t")
+    marks = sum(bool(PATTERNS.no_value.match(c)) for c in cells if isinstance(c, str) and c)
+    return kinds.count("n") + kinds.count("d") > kinds.count("t") + marks
 
 
 def decimal_signs(cells: Iterable[Any]) -> set[str]:
@@ -256,7 +266,7 @@ def _may_be_thousands(cells: Sequence[Any]) -> bool:
     forms: set[Any] = set()
     for cell in cells:
         form = PATTERNS.dotted.match(cell) if isinstance(cell, str) else None
-        if form is None and str(cell).lower() not in MISSING:
+        if form is None and not is_missing(cell):
             return False
         forms.add(form and form.lastgroup)
     return forms >= {"dot", "bare"}
@@ -268,7 +278,7 @@ def plain_numbers(cells: Sequence[Any]) -> Array | None:
         values = np.array([float(cell) for cell in cells])
     except (TypeError, ValueError):
         return None
-    return None if _may_be_thousands(cells) else np.where(np.isfinite(values), values, np.nan)
+    return None if _may_be_thousands(cells) else np.where(abs(values) < OVERFLOW, values, np.nan)
 
 
 def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, str, int]:
@@ -299,7 +309,7 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
             read[cell] = float(cell) if kind and not isinstance(cell, str) else np.nan
     bad = next((k for k, cell in enumerate(cells) if cell not in read), -1)
     values = np.array([read.get(cell, np.nan) for cell in cells])
-    return np.where(np.isfinite(values), values, np.nan), own, bad
+    return np.where(abs(values) < OVERFLOW, values, np.nan), own, bad
 
 
 def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
@@ -367,7 +377,7 @@ def moments_of(cells: Sequence[Any],
             stamps = np.array(cells, dtype="datetime64[ns]")
             seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
             return seconds, float(stamps[0].astype(np.int64)) / 1e9, 3, ""
-    there = [k for k, cell in enumerate(cells) if str(cell).lower() not in MISSING]
+    there = [k for k, cell in enumerate(cells) if not is_missing(cell)]
     found = [m for k in there if (m := moment_of(cells[k]))]
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found
     if not found or not len(found) == len(dated) == len(there):

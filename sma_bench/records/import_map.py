@@ -181,7 +181,7 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
         unit, time = contract.unit_of(entry.signal) or "", samples.time - first
         signals[entry.signal] = Signal(entry.signal, unit, time, samples.values - zero)
         sentences.append(sentence + samples.how)
-    start_ns = round((base + first) * 1e9) if base or 1e9 < first < 4e9 else 0  # s since 1970
+    start_ns = round((base + first) * 1e9) if base or 1e9 < first < 2**31 else 0  # s since 1970
     return Record(path, start_ns, signals), sentences
 
 
@@ -371,9 +371,11 @@ class _Proposal:
         meant = cells.title_meanings(texts[0]) or cells.title_meanings(texts[1])
         found = next(filter(None, (cells.meanings(t, column.unit) for t in texts)), meant)
         named, words = found[0] if found else "", set(cells.words_of(title))
+        words |= {PATTERNS.compound.sub("", word) for word in words}
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
         is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))
-        other = min(words & {*WORDS["devices"], *WORDS["doubtful"]}, default="")
+        sensors = {w for w in words if named in _DRIVES and PATTERNS.transducer.match(w)}
+        other = min(words & {*WORDS["devices"], *WORDS["doubtful"]} or sensors, default="")
         other = other if named in (*_DRIVES, "duty", "power", "temperature") else ""
         if not (meant or unused or is_wire or other or named == "time"):
             self.ask(name, "is_it", named=named)
@@ -464,7 +466,7 @@ class _Proposal:
             low, high = 0.0, high - low
         if meaning == "length" and length:
             most = 0.2 * length
-        if least <= low and high <= most:
+        if least <= low and high <= most and not 0.0 < high < row.get("least_peak", 0.0):
             return unit
         hint = f", or in {guess}" if guess else ""
         return self.ask(name, "implausible", span=span, unit=unit, hint=hint)

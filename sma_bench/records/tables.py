@@ -13,7 +13,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import zip_longest
+from itertools import accumulate, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from sma_bench.arrays import Array, IntArray
 from sma_bench.border import MEGABYTE, decoded_lines, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError, errors_in
 from sma_bench.records import cells as read
-from sma_bench.records.cells import MISSING, WORDS, cell_kind, message, parse_unit, split_title
+from sma_bench.records.cells import WORDS, cell_kind, message, parse_unit, split_title
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
 MOST_COLUMNS, LONGEST_NAME = 1000, 120
@@ -38,6 +38,7 @@ _ONE_THREAD = {"MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1",
                "ARROW_DEFAULT_MEMORY_POOL": "system"}
 _TESTS = "stress", "force", "mass", "length"  # a line that states one of these begins a new test
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
+_GROUPS = {*WORDS["room"], *WORDS["wire"], *WORDS["supplies"]}  # that may stand above titles
 _MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
 # What a file begins with, and its reader in unfold.py.
 _FORMATS = {b"PK\x03\x04": "Excel", b"\x89HDF\r\n\x1a\n": "HDF5", b"MATLAB 7.3": "HDF5",
@@ -145,8 +146,7 @@ class TableFile:
             left_out += [f"{len(table.marks)} lines of text between the rows, first {text[:40]!r}"
                          for _, text in table.marks[:1]]
         left_out += self.outside
-        sheet = tables[0].name if len(tables) < len(self.tables) else ""
-        rows = sum(table.rows for table in tables)
+        sheet, rows = tables[0].name * (len(tables) < len(self.tables)), sum(t.rows for t in tables)
         return Account(rows, rows_used, used, ignored, tuple(asked), tuple(left_out), sheet)
 
 
@@ -261,7 +261,8 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         applied = [f"{key} {scale[key]:g}" for key in ("scale", "offset") if key in scale]
         if applied:
             notes[len(array)].append(f"{label}: {' and '.join(applied)} of its attributes applied")
-        array = np.where(array == scale.get("fill"), np.nan, array)
+        array = np.where(abs(array) < read.OVERFLOW, array, np.nan)
+        array[array == scale.get("fill")] = np.nan
         array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
         is_time, many = last.lower() in ("time", "t", "tout"), array.shape[1]
         named = {} if is_time else dict(beside.get(folder, {}))
@@ -341,9 +342,11 @@ def _specimen(rows: Sequence[Row]) -> str:
     return next((text for _, cells in rows[::-1] if re.match(form, text := _text(cells))), "")
 
 
-def _units(cells: Sequence[str]) -> list[str]:
-    """The cells without brackets if all are units, else []."""
+def _units(cells: Sequence[str], above: Sequence[str] = ()) -> list[str]:
+    """The cells without brackets if all (below titles all but two) are units, else []."""
     bare = [text.strip("()[]{} ") for text in cells]
+    is_below = len(above) == len(cells) > 3 and sum(map(bool, map(read.title_meanings, above))) > 1
+    bare[: 2 * is_below] = [t if parse_unit(t) else "" for t in bare[: 2 * is_below]]
     are_units = all(parse_unit(text) or text == "-" for text in bare if text)
     return bare if are_units and any(bare) else []
 
@@ -385,20 +388,26 @@ class _Block:
     def titles(self, heads: Sequence[Row], width: int) -> tuple[list[str], list[str], list[Row]]:
         """Titles ("" for an index that has none), units, and the lines above them."""
         texts = [self.title_cells(row, width) for row in heads[-3:]][::-1]
-        remarks: list[Row] = []  # between titles and numbers
+        remarks, units = list[Row](), list[str]()  # rows between titles and numbers
         for back, titles in enumerate(texts):
             is_narrow = sum(map(bool, titles)) < max(2, width / 2)
-            if _units(titles) and not (is_narrow and back):
-                continue
-            if is_narrow:
-                remarks.insert(0, heads[-1 - back])
+            found = _units(titles, above := [*texts, []][back + 1])
+            is_remark = is_narrow and (back or not found)
+            if is_remark or found or {*map(str.lower, titles)} <= {*WORDS["statistics"]}:
+                units = found or units
+                remarks = [heads[-1 - back], *remarks] if is_remark else remarks
                 continue
             known = sum(bool(read.title_meanings(t)) for t in titles if cell_kind(t) == "t")
             if remarks and (known < width / 2 or "n" in map(cell_kind, titles)):
                 break
-            units = next(filter(None, map(_units, texts[:back][::-1])), [])
             shift = len(titles) - len(units) if self.separator is None else 0
             units = [*[""] * shift, *units, *[""] * width][: len(titles)]
+            # The row above may name wire, room or supply, for one or more columns each.
+            are_names = all(cell_kind(name) in "t" and ":" not in name for name in above)
+            if are_names and len(above) == width == len(titles) > above.count("") + 1:
+                names = accumulate(above, lambda last, name: name or last)
+                over = [f"{name} " * bool(_GROUPS & {*read.words_of(name)}) for name in names]
+                titles = [a + b if b else "" for a, b in zip(over, titles, strict=True)]
             if width - len(titles) == 1 and self.begins_with_index():
                 titles, units = ["", *titles], ["", *units]
             return titles, units, [*heads[: -back - 1], *remarks]
@@ -494,7 +503,7 @@ def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Seque
     plain = [read.plain_numbers(cells) for cells in texts]
     kinds = []
     for cells in texts:
-        filled = [c for c in cells if str(c).lower() not in MISSING]
+        filled = [c for c in cells if not read.is_missing(c)]
         count = Counter(map(cell_kind, filled[:: 1 + len(filled) // _CELL_SAMPLE]))
         kinds.append(count.most_common(1)[0][0] if count else "")
     # Decimal signs: the column's own, else that of the other columns.
@@ -520,6 +529,7 @@ def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Seque
                 continue
             example = next((str(c) for c in cells if cell_kind(c) in ("t", "d")), "")
             ignored[label] = f"text such as {printable(example)[:40]!r}" if example else "empty"
+            notes += [f"{label}: {ignored[label]}"] if example and parse_unit(unit) else []
         elif k in dates and clock is not None:
             ignored[label] = f"its dates are in {labels[clock]}"
         elif kinds[k] == "d":

@@ -311,7 +311,22 @@ def test_columns_have_the_titles_units_and_numbers_of_their_text(text, expected,
         (table,) = read_table_file(path).tables
         assert [[c.title, c.unit] for c in table.columns] == [[*row[:2]] for row in expected]
         for column, (_, _, values) in zip(table.columns, expected, strict=True):
-            assert column.values == pytest.approx(values)
+            assert column.values == pytest.approx(values, nan_ok=True)
+
+
+@pytest.mark.parametrize(("encoding", "titles"), [
+    ("gbk", "时间(s),电压(V),温度(℃)"), ("cp949", "시간(s),전압(V),온도(℃)"),
+    ("cp932", "時間（ｓ）,電圧（Ｖ）,温度（℃）"), ("cp1252", "Tempo (s),Tensão (V),T (°C)")])
+def test_code_pages_are_told_by_their_titles(encoding, titles, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes("\n".join([titles, *(f"{k},1.5,24" for k in range(5))]).encode(encoding))
+    assert [c.name for c in read_table_file(path).columns] == titles.split(",")
+
+
+def test_a_column_of_text_with_a_unit_is_reported(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("Time (s),U (V),Force (N)\n" + "".join(f"{k},1.5,{k}.5-\n" for k in range(5)))
+    assert read_table_file(path).notes == ("Force (N): text such as '0.5-'",)
 
 
 def test_a_scale_in_an_attribute_is_applied_and_noted(tmp_path):
