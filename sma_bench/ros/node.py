@@ -33,7 +33,7 @@ try:
 except ImportError:
     from rclpy.executors import SingleThreadedExecutor as EventsExecutor
 
-from sma_bench.border import shown
+from sma_bench.border import claimed, shown
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorded_type
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -255,10 +255,12 @@ def layout_fault(message: Float64MultiArray, channels: Sequence[str]) -> str:
 class Commanders:
     """The senders of the commands that a node receives."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Any) -> None:
         self._node, self._topic = node, node.resolve_topic_name(COMMAND)
         self._signed, self._unsigned = set[str](), list[str]()
         self._looked = -_LOOK_EVERY
+        # A forgotten simulator would give readings that hide a fault of the hardware.
+        node.claims.append(claimed(f"a bench that obeys {self._topic}"))
 
     def judge(self, message: Float64MultiArray, channels: Sequence[str]) -> tuple[str, str]:
         """The sender of a command ("": unsigned), and why it must be refused in any case, or ""."""
