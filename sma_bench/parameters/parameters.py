@@ -119,7 +119,8 @@ class Parameters(Mapping[str, Value]):
         if {"wire.length", "wire.diameter"} <= self.given and (length := self["wire.length"]):
             size = {"wire.mass": NITI_DENSITY * wire_section(self) * length,
                     "wire.surface_area": math.pi * self["wire.diameter"] * length}
-            self._of_size = {name: size[name] for name in size.keys() - self.given}
+            self._of_size = {name: min(max(size[name], BY_NAME[name].low), BY_NAME[name].high)
+                             for name in size.keys() - self.given}
             self._values |= self._of_size
         if self["wire.law"] == "normal" and _SPREAD not in self.given and hysteresis(self)[2] > 0.0:
             self._values[_SPREAD] = nearest_spread(self, _DEFAULTS[_SPREAD])

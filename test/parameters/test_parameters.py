@@ -79,6 +79,8 @@ def test_mass_and_area_that_nobody_stated_are_those_of_the_stated_length_and_dia
     assert longer["wire.mass"] == 30e-6
     assert longer["wire.surface_area"] == pytest.approx(188.5e-6, rel=1e-3)
     assert Parameters({"wire.length": 0.2})["wire.mass"] == DEFAULTS["wire.mass"]
+    rod = Parameters({"wire.length": 0.2, "wire.diameter": 5e-3})
+    assert rod["wire.mass"] == 0.01  # the end of its range
 
 
 def test_a_deviation_is_refused_if_negative_or_of_a_limit():
