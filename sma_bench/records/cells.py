@@ -222,7 +222,7 @@ def cell_kind(cell: Any) -> str:
 def is_number_row(cells: Sequence[Any]) -> bool:
     """True for two or more cells with more numbers, dates and times than texts."""
     kinds = [cell_kind(cell) for cell in cells] if len(cells) > 1 else []
-    marks = sum(bool(PATTERNS.no_value.match(c)) for c in cells if isinstance(c, str) and c)
+    marks = sum(is_missing(c) and str(c).lower() not in _MISSING for c in cells)  # ****, +OVER
     return kinds.count("n") + kinds.count("d") > kinds.count("t") + marks
 
 
