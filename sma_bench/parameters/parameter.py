@@ -61,10 +61,9 @@ class Parameter:
 
     def stated_std(self, value: Any) -> float | None:
         """Standard deviation of a value that was stated without one."""
-        if self.uncertainty is None or not isinstance(value, (int, float)) or value == 0.0:
-            return self.uncertainty
-        return min(max(self.uncertainty, self.least_share * abs(value)),
-                   self.most_share * abs(value))
+        if (std := self.uncertainty) and isinstance(value, (int, float)) and (size := abs(value)):
+            std = min(max(std, self.least_share * size), self.most_share * size)
+        return std
 
     def validated(self, value: Any, where: str = "") -> Value:
         """The value in its own type. InputError, after `where`: wrong type, infinite, outside."""

@@ -19,7 +19,6 @@ STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
 REFERENCE_EXCESS = 60.0  # K above ambient, for which results give the coefficient
 OXIDISED = 0.4  # emissivity of a drawn wire with its oxide
 _EXCESSES = (30.0, 120.0)  # K, between which the exponent of free convection is taken
-_OF_SIZE = 0.1  # relative deviation of a mass or area that follows from length and diameter
 _LONGEST_LIST = 800  # characters of a repr
 _SPREAD = "wire.hysteresis_spread"
 _DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
@@ -230,7 +229,7 @@ class Parameters(Mapping[str, Value]):
         """Standard deviation of `name`, absolute, in its unit: the stated one, else the table's of
         a stated value, else its spread. InputError: unknown, or without one (a name, a limit)."""
         value, own = self[name], BY_NAME[name]
-        unstated = _OF_SIZE * value if name in self._of_size else own.default_std
+        unstated = 0.1 * value if name in self._of_size else own.default_std  # of a drawn wire
         std = own.stated_std(value) if name in self.given else unstated
         if std is None:
             raise InputError(f"{name} has no uncertainty")
