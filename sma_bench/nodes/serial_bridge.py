@@ -66,7 +66,7 @@ class SerialBridge(BenchNode):
         self.listen(Temperature, "temperature", self.on_temperature, newest=True)
         self.create_subscription(String, RECORDER, lambda message: self._guard.recorder(
             recorder_failure(message.data)), ros.LATCHED)
-        self.serve(enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
+        self.serve(enable=lambda: self._ask(self._enable),
                    stop=lambda: self._ask(lambda: driver.stop("stopped on request")),
                    reset=lambda: self._ask(driver.reset),
                    self_test=lambda: self._ask(self._self_test))
@@ -123,10 +123,15 @@ class SerialBridge(BenchNode):
         """Let the driver act; returns success and its message, or the bench's state after it."""
         try:
             return True, act() or self._driver.state
-        except LinkError as error:
+        except (LinkError, InputError) as error:
             return False, str(error)
         finally:
             self._publish_state()
+
+    def _enable(self) -> None:
+        if len(self.claims) == 1:  # of the node's name
+            self.claims.append(ros.claim_readings(self, self._channels[0]))
+        self._driver.enable(time.monotonic())
 
     def _self_test(self) -> str:
         findings = self._driver.self_test()

@@ -16,7 +16,14 @@ from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockstep, VirtualBench
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.ros.node import COMMAND, NANOSECONDS, READINGS, BenchTopics, Commanders
+from sma_bench.ros.node import (
+    COMMAND,
+    NANOSECONDS,
+    READINGS,
+    BenchTopics,
+    Commanders,
+    claim_readings,
+)
 
 _SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; the latter: period of the fastest readings
 _SLICES_AT_ONCE = 8  # per callback, so that commands and services get their turn
@@ -52,6 +59,7 @@ class Simulator(BenchNode):
         channels, composite = self._bench.channels, self._bench.composite
         self._topics = BenchTopics(self, channels, (*channels, "ambient"),
                                    SIDES if composite else (), "tip" if composite else "wire")
+        self.claims.append(claim_readings(self, channels[0]))
         self._counts = Counter({"power": 0, "temperature": 0, "mechanics": 0, "ambient": 0})
         self._reported = 0, self._counts.copy()
         self._gate = CommandGate(len(channels), limits)

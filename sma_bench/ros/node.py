@@ -9,6 +9,7 @@ import contextlib
 import copy
 import importlib
 import math
+import socket
 import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -252,15 +253,19 @@ def layout_fault(message: Float64MultiArray, channels: Sequence[str]) -> str:
     return ""
 
 
+def claim_readings(node: Node, channel: str) -> socket.socket:
+    """Claim the readings of a bench: those of a forgotten simulator would hide a fault of the
+    hardware. InputError: another process has claimed them."""
+    return claimed(f"a bench that publishes {node.resolve_topic_name(channel + '/power')}")
+
+
 class Commanders:
     """The senders of the commands that a node receives."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Node) -> None:
         self._node, self._topic = node, node.resolve_topic_name(COMMAND)
         self._signed, self._unsigned = set[str](), list[str]()
         self._looked = -_LOOK_EVERY
-        # A forgotten simulator would give readings that hide a fault of the hardware.
-        node.claims.append(claimed(f"a bench that obeys {self._topic}"))
 
     def judge(self, message: Float64MultiArray, channels: Sequence[str]) -> tuple[str, str]:
         """The sender of a command ("": unsigned), and why it must be refused in any case, or ""."""

@@ -100,8 +100,6 @@ def test_every_node_has_overridable_qos_latches_texts_and_keeps_results_in_their
         # Commands of a best-effort publisher are received.
         drives = name in ("simulator", "serial_bridge")
         assert_overridable(node, "voltage_command" if drives else progress)
-        if drives:  # a namespace has only one of them
-            node.claims.pop().close()
         result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
         assert not result.successful and "read-only" in result.reason
     # A text topic is a state, the marker, or JSON with a schema.
@@ -173,7 +171,6 @@ def test_every_node_announces_itself_once_then_its_status_and_its_name_if_it_can
                 if message.header.stamp.sec > 0 for status in message.status}  # fmt: skip
 
     given = {"ir_camera": {"regions": [""] * 4}, "recorder": {"output": tmp_path / "bag"}}
-    given["serial_bridge"] = {"remap": {"voltage_command": "another"}}  # than the simulator's
     nodes = {name: bench.start(name, COMPOSITE, **given.get(name, {})) for name in NODE_TABLES}
     bench.until(lambda: all("ready\n" in node.output for node in nodes.values()), 60.0)
     bench.until(lambda: speaking() == nodes.keys(), 60.0)
@@ -226,14 +223,6 @@ def test_a_node_refuses_impossible_parameters_in_one_line(make, name, given, sai
     with pytest.raises(InputError, match=f"^[^\n]*{said}[^\n]*$"):
         node = make(name, "-p", given)
         raise node.failure or AssertionError("it can")
-
-
-def test_a_forgotten_simulator_keeps_a_bridge_of_its_namespace_from_starting(make):
-    """Its temperatures would hide a dead camera of the hardware."""
-    make("simulator")
-    line = "^a bench that obeys /bench/voltage_command is there already in ROS domain"
-    with pytest.raises(InputError, match=line):
-        make("serial_bridge")
 
 
 def test_a_command_says_which_channels_it_is_for_and_one_for_others_is_refused():

@@ -72,6 +72,17 @@ def test_the_bridge_speaks_the_contract_drives_only_when_enabled_and_says_what_i
         rig.until(lambda: rig.power[-1].voltage == 0.0)
 
 
+def test_the_bridge_is_not_enabled_beside_a_simulator_that_publishes_the_same_readings(bench, uno):
+    """A forgotten simulator's temperatures would hide a dead camera of the hardware."""
+    with bridged_rig(bench, uno) as rig:
+        simulator = bench.start("simulator")
+        bench.until(lambda: "ready" in simulator.output)
+        refused = rig.ask("enable")
+        assert not refused.success and "/bench/wire/power is there already" in refused.message
+        simulator.end()
+        rig.enable()
+
+
 def assert_no_reading_is_stamped_before_its_cause(rig):
     """Apart from the time that the emulated Uno's clock loses on a busy machine."""
     for level in (1.0, 2.0, 3.0):
