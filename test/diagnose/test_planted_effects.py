@@ -45,6 +45,9 @@ CASES = [
      ("supply_drop", "ambient_drift", "temperature_underfill", "phase_dependent_resistance")),
     ({"effect.opposing_wires.buckled": 0.4, "effect.opposing_wires.gap": 0.01}, ALL[1:],
      ("opposing_wires", "stress_dependent_transition", "side_asymmetry")),
+    ({"effect.opposing_wires.buckled": 0.6, "effect.opposing_wires.gap": 0.002,
+      "effect.opposing_wires.detwinning_stress": 60e6}, ALL[1:],
+     ("opposing_wires", "stress_dependent_transition", "side_asymmetry")),
     ({"effect.slack.rubbing_strain": 0.002, "effect.slack.friction": 5e6}, ALL[1:],
      ("slack", "residual_strain", "transition_drift")),
 ]
@@ -65,7 +68,7 @@ def expect(result, numbers):
 @pytest.mark.slow
 @pytest.mark.parametrize(("numbers", "quantities", "library"), CASES,
                          ids=["viscous", "strained", "recovering", "battery", "transistor",
-                              "buckled", "rubbing"])
+                              "buckled", "detwinning", "rubbing"])
 def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tmp_path):
     seen, unseen = planted_pair(tmp_path, numbers, quantities=quantities)
     with few_effects(library):
