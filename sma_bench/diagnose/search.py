@@ -37,7 +37,7 @@ from sma_bench.physics.effects.residual_strain import CARRIED_OVER
 _CLOSE = 0.35  # of the best gain in evidence: singles that gain at most so much less are refined
 _NEAR = 15.0  # nats, the same; the larger limit counts
 _MOST_REFINED = 4  # singles
-_MOST_FROM_STATED = 3  # singles that are fitted from the stated parameters as well
+_MOST_FROM_STATED = 5  # singles that are fitted from the stated parameters as well
 _MOST_PAIRED, _PARTNERS = 3, 3  # singles that get partners, and how many each
 _HOPELESS = 0.5  # of the best single's gain: a single that gains less gets no partners
 _STANDS_STILL = 0.05  # of the measured motion: a simulated one that is smaller is none
@@ -140,7 +140,10 @@ def search(observations: Sequence[Observation], parameters: Parameters,
         if away.any():
             alike = problem.about(parameters, np.where(away, 0.0, recalibrated.z))
         read = replace(alike, noise=recalibrated.problem.noise)
-        begun = _starts(kinds, fit(read, baseline, baseline.start(), rounds=0))[:_MOST_FROM_STATED]
+        begun = _starts(kinds, fit(read, baseline, baseline.start(), rounds=0))
+        # So far away promises mean little: the best effect so far comes first, in all its forms.
+        (first,) = max(singles.values(), key=by_evidence).unknowns.effects
+        begun = sorted(begun, key=lambda both: both[0].effects[0] != first)[:_MOST_FROM_STATED]
         keep(in_threads(lambda kind, start: fit(alike, kind, start.x, far=True), begun))
 
     progress("refining the best effects")

@@ -405,7 +405,7 @@ class _Block:
             # The row above may name wire, room or supply, for one or more columns each.
             are_names = all(cell_kind(name) in "t" and ":" not in name for name in above)
             if are_names and len(above) == width == len(titles) > above.count("") + 1:
-                names = accumulate(above, lambda last, name: name or last)
+                names: list[str] = [*accumulate(above, lambda last, name: str(name or last))]
                 over = [f"{name} " * bool(_GROUPS & {*read.words_of(name)}) for name in names]
                 titles = [a + b if b else "" for a, b in zip(over, titles, strict=True)]
             if width - len(titles) == 1 and self.begins_with_index():

@@ -1,12 +1,16 @@
 """Wires that pull a weight, a spring or each other: diagnosed from motion and voltage alone."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from planted import LOADS, few_effects, machine_drive, moving_lab, moving_record, strokes
 
 from sma_bench.diagnose import diagnose, search
 from sma_bench.estimation.unknowns import unknowns_of_records
+from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
+from sma_bench.records import Record, Signal
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -16,6 +20,21 @@ MOVED = (*("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_h
 DUTY = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
 CASES = {"force": ({"effect.latent_heat.heat": 9e3}, DUTY),
          "antagonist": ({"effect.residual_strain.share": 0.1}, {"bench.lead_resistance": 0.2})}
+
+
+# Stated value and standard deviation of a wire of 0.15 mm.
+THIN_WIRE = {
+    "load.kind": ("force", None), "load.force": (1.962, None), "wire.length": (0.2, None),
+    "wire.diameter": (1.5e-4, None), "wire.mass": (2.2796e-5, None),
+    "wire.surface_area": (9.4248e-5, None), "wire.resistance": (9.5744, 0.19),
+    "wire.heat_transfer_coefficient": (94.97, 13.5), "wire.specific_heat": (431.55, 36.0),
+    "wire.austenite_start_temperature": (343.0, 3.0),
+    "wire.austenite_finish_temperature": (351.76, 3.0),
+    "wire.martensite_start_temperature": (335.41, 3.0),
+    "wire.martensite_finish_temperature": (326.2, 3.0), "wire.austenite_modulus": (7.31e10, 5e9),
+    "wire.martensite_modulus": (2.92e10, 3e9), "wire.maximum_recoverable_strain": (0.0407, 0.004),
+    "environment.ambient_temperature": (295.45, None), "bench.maximum_voltage": (30.0, None),
+    "bench.maximum_current": (5.0, None)}  # fmt: skip
 
 
 def diagnosed(load, effect, drive=()):
@@ -93,3 +112,19 @@ def test_stated_friction_is_fitted_and_excludes_slack(load):
         assert ("load.friction" in unknowns_of_records(rig, ("deflection",)).names) == moved
         slack = "slack" in search.possible_effects(rig, ("deflection",))
         assert slack == (load == "spring" and not given and not stds)
+
+
+def test_a_lag_that_pulls_recalibration_far_away_is_found_from_the_stated_parameters():
+    """A thermocouple of 1.5 s on a thin wire that lifts a weight, by another simulator: from
+    recalibration the search finds a camera's long exposure only, with half of the gain."""
+    table = np.loadtxt(Path(__file__).with_name("thermocouple.csv"), delimiter=",", skiprows=1)
+    time, volts, milliamperes, celsius, lifted = table.T
+    columns = {"wire.voltage": ("V", volts), "wire.current": ("A", 1e-3 * milliamperes),
+               "wire.temperature": ("K", celsius + 273.15), "elongation": ("m", -1e-3 * lifted)}
+    signals = {name: Signal(name, unit, time, values) for name, (unit, values) in columns.items()}
+    lab = {name: value for name, (value, _) in THIN_WIRE.items()}
+    stds = {name: std for name, (_, std) in THIN_WIRE.items() if std}
+    found = diagnose([Record(Path("thermocouple"), 0, signals)], Parameters(lab, stds))
+    assert found.cause == ("temperature_lag",) and found.candidates[0].probability > 0.8
+    size = found.to_json()["size"]["temperature_lag"]["effect.temperature_lag.time_constant"]
+    assert size["value"] == pytest.approx(1.5, rel=0.05)
