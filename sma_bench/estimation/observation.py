@@ -60,7 +60,7 @@ _REMARKS = ("room", 1.0, "K"), ("heat transfer", 100.0, "%"), ("stroke", 100.0, 
 _UNSET = 5.0  # times the error of a zero: a motion that rests farther off was not set to 0
 _WORTH_REPORTING = 0.5  # standard deviations of a run's state
 _HISTORIES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
-              "bending", "temperature_reading")
+              "bending", "temperature_reading", "mount", "sag")
 
 
 def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:

@@ -113,7 +113,7 @@ class Simulation(Readings, Drawn):
     @property
     def conductance(self) -> Array:
         """(n, w) A/V; of a wire that is not driven, that at its last volts, or at 1 V."""
-        volts = np.ones_like(self.voltage)
+        volts = np.ones_like(self.temperature)
         if any(self.parameters[name] for name in _NOT_OHMIC):
             driven = self.voltage > _DRIVES * np.max(self.voltage, initial=0.0)
             last = np.maximum.accumulate(driven * np.arange(1, len(volts) + 1)[:, None], axis=0) - 1

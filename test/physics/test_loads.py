@@ -35,7 +35,7 @@ NO_DRIFT = {p.name: 0.0 for p in EFFECTS["deflection_drift"].switches}  # of a s
 LENGTH, SECTION = wire_length(WIRE), channel_section(WIRE)
 COLD = SECTION * WIRE["wire.martensite_modulus"] / LENGTH  # N/m
 TIME = np.arange(4001) * 0.02
-HEATED = triangle(TIME, 7.0, 80.0)
+HEATED = triangle(TIME, 7.7, 80.0)
 
 
 def run(rig, **changed):
