@@ -133,7 +133,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     if stuck:
         progress("effects again, as recalibration was stuck")
         singles = _singles(kinds, recalibrated, progress)
-    if _surprises(recalibrated):
+    if singles and _surprises(recalibrated):
         # A fit may not find its way back to the stated parameters: start the best effects there.
         progress("effects from the stated parameters")
         away, alike = problem.of_kind(STATE), problem
