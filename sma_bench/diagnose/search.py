@@ -133,6 +133,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     if stuck:
         progress("effects again, as recalibration was stuck")
         singles = _singles(kinds, recalibrated, progress)
+    replaced = list[tuple[Fit]]()
     if singles and _surprises(recalibrated):
         # A fit may not find its way back to the stated parameters: start the best effects there.
         progress("effects from the stated parameters")
@@ -144,7 +145,9 @@ def search(observations: Sequence[Observation], parameters: Parameters,
         # So far away promises mean little: the best effect so far comes first, in all its forms.
         (first,) = max(singles.values(), key=by_evidence).unknowns.effects
         begun = sorted(begun, key=lambda both: both[0].effects[0] != first)[:_MOST_FROM_STATED]
+        earlier = singles[first]
         keep(in_threads(lambda kind, start: fit(alike, kind, start.x, far=True), begun))
+        replaced = [(earlier,)] if singles[first] is not earlier else []  # refined, it may be best
 
     progress("refining the best effects")
     ranked = sorted(singles.values(), key=by_evidence, reverse=True)
@@ -153,7 +156,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     worth = [(found,) for found, gain in zip(ranked[:_MOST_REFINED], gains, strict=False)
              if gain >= limit]
     instead = [_due_to_effect(found) for name, found in singles.items() if name in _INSTEAD]
-    keep([*in_threads(_refined, worth), *instead])
+    keep([*in_threads(_refined, worth + replaced), *instead])
     better, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("effects again, as recalibration was stuck")
