@@ -56,7 +56,7 @@ def run_import(args: SimpleNamespace) -> int:
     given = maps.read_map(args.map_file) if args.map_file else None
     bench = read_parameters(args.params) if args.params else Parameters.defaults()
     units = dict(options.pair("--unit", text, "COLUMN=UNIT") for text in args.units)
-    # A bag and a map for each file or sheet; maps lie beside the folder: `week/*` is bags only.
+    # A bag and a map for each file or sheet; maps lie next to the folder: `week/*` is bags only.
     out, tables = Path(args.out), [read_table_file(file) for file in args.files]
     runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in maps.runs_of(t)]
     runs = [(args.files[0], "", maps.together(tables))] if args.together else runs

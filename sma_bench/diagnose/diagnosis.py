@@ -225,7 +225,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
 
 
 def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
-    """A finding about the bench's unknowns that nobody stated."""
+    """A finding about the bench's unknowns that are not stated."""
     names = [n for item in unknowns.items[: unknowns.bench] for n in (item.name, item.partner)
              if n and n not in parameters.given and BY_NAME[n].spread is not None]
     text = (f"nobody stated {', '.join(names)}: each may differ from its default as much as such "

@@ -63,7 +63,7 @@ class Transitions:
         mean = np.array([parameters[name] for name in TEMPERATURES])
         stated = np.array([name in parameters.given for name in TEMPERATURES])
         as_usual = tuple(mean.tolist()) == FIELD_TEMPERATURES
-        if stated.any() and not stated.all():  # the others: likely ones beside these
+        if stated.any() and not stated.all():  # the others: likely ones next to these
             field = np.array(FIELD_TEMPERATURES)
             alike = _covariance(field, True)[:, stated]
             typical = field + alike @ np.linalg.solve(alike[stated], (mean - field)[stated])

@@ -36,7 +36,7 @@ STATISTICS = ("mean", "median", "hottest")
 _BLUR, _NEAR, _FAR = 4, 3, 3  # pixels from the wire's edge: its blur, then two rings of background
 _MEDIAN_OVER_MEAN = 1.2533  # standard deviation of the median over that of the mean, Gaussian noise
 _WIDEST_TILT, _HIGHEST_FILL = 1.3, 1.15
-_MOST_RIPPLE = 0.25  # highest unevenness beside the wire, of the wire's peak
+_MOST_RIPPLE = 0.25  # highest unevenness next to the wire, of the wire's peak
 _HALF_STEP = 0.5 / image.RAW_PER_KELVIN  # K; pixels so near the end of the range are saturated
 # A wire this many times clearer than the least visible one cannot cool unseen in this time (s).
 _TOO_CLEAR_TO_FADE, _NO_TIME_TO_FADE = 4.0, 0.1

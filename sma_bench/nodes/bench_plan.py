@@ -179,7 +179,7 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
 
 
 def plan_replay(given: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]]:
-    """The command line of `ros2 bag play` for a record in one namespace, and the nodes beside it.
+    """The command line of `ros2 bag play` for a record in one namespace, and its nodes.
     `given`: of REPLAY. InputError: no bag, no topic of a bench in it, a bad argument."""
     values = filled(REPLAY, given)
     if not (bag := values["bag"]):

@@ -1,4 +1,4 @@
-"""Runs the model beside the bench on the measured voltages, and reports where they differ."""
+"""Runs the model alongside the bench on the measured voltages, and reports where they differ."""
 
 import math
 import time

@@ -1,1 +1,1 @@
-"""The paper: its figures and tables redrawn, its errata beside what is computed instead."""
+"""The paper: its figures and tables redrawn, its errata next to what is computed instead."""

@@ -39,7 +39,7 @@ _MEASURED, _SYNTHESISED = 0.1, 0.9  # of the progress: after the records given, 
 def paper_page(records: Sequence[AnyRecord], parameters: Parameters,
                report: Report = silent) -> PaperPage:
     """Identify the user's records, if any, and synthetic ones where those lack data; compare with
-    the paper. `parameters`: of the user's bench; synthetic data beside records use the paper's own
+    the paper. `parameters`: of the user's bench; synthetic data next to records use the paper's own
     numbers. Raises InputError: none of the records given can be used."""
     report(0.0, "experiments")
     measured, notes = sort_records(records, parameters)

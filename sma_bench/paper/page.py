@@ -1,4 +1,4 @@
-"""The paper redrawn as one page: figures, tables beside identified numbers, errata."""
+"""The paper redrawn as one page: figures, tables next to identified numbers, errata."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence

@@ -47,7 +47,7 @@ class Parameter:
     uncertainty: float | None = None
     least_share: float = 0.0
     most_share: float = math.inf
-    # standard deviation of a value that nobody stated: how much wires and benches differ in it, by
+    # standard deviation of a value that is not stated: how much wires and benches differ in it, by
     # spread_source; None: as uncertainty (a sensor's data sheet, an effect's number)
     spread: float | None = None
     spread_source: str = ""

@@ -92,7 +92,7 @@ def write_parameters(path: str | Path, parameters: Parameters, comment: str = ""
                      explain: bool = False) -> None:
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
-    The file appears whole or not at all. Values that nobody stated are written as comments, except
+    The file appears whole or not at all. Values that are not stated are written as comments, except
     the channels, which every rig needs. `comment`: lines for the head of the file; `names`:
     parameters to write, in any order, when None all but effects not stated; `sources`:
     where values are from, by name: these and their standard deviations are rounded to the second
@@ -147,7 +147,7 @@ _OWN = " | "  # between a handwritten comment and the note of this module
 
 
 def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str]], dict[str, str]]:
-    """Handwritten comments of a file, if there is one: head; by name above and beside values."""
+    """Handwritten comments of a file, if there is one: head; by name above and next to values."""
     head: list[str] = []
     above: dict[str, list[str]] = {}
     beside: dict[str, str] = {}
@@ -169,7 +169,7 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
             elif waiting:
                 above[name] = waiting
             waiting = []
-            # Beside a value: a comment that is not this module's note.
+            # Next to a value: a comment that is not this module's note.
             remark = re.search(r"\s#\s?(.*)", line[key.end() - 1 :].split('"')[-1].split("'")[-1])
             theirs = (remark[1] if remark else "").partition(_OWN)[0].strip()
             if p := BY_NAME.get(name.removeprefix(UNCERTAINTY_PREFIX)):

@@ -195,7 +195,7 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
 
 @contextmanager
 def _beside(path: Path, replace: bool) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it if the block succeeds."""
+    """A temporary path next to `path`, renamed to it if the block succeeds."""
     new = path
     try:
         if path.exists() and not replace:

@@ -25,7 +25,7 @@ _REGULAR = 0.95  # share of the values that last a whole multiple of the usual n
 _TWO_CLOCKS = 5  # rows; values that usually last as long may last one row more or less
 _ONE_ROW = 1.1  # rows, at most, between a reading and the row that shows it first
 _NONE: IntArray = np.zeros(0, dtype=np.int64)
-_GAP, _GAP_STEPS, _FEW = 2.0, 10.0, 8  # s; usual steps; readings beside a gap that show a ramp
+_GAP, _GAP_STEPS, _FEW = 2.0, 10.0, 8  # s; usual steps; readings next to a gap that show a ramp
 _RAMP, _LEVEL = 0.2, 0.03  # tolerances of a voltage over a gap: of its step, of its range
 
 

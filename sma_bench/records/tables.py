@@ -27,7 +27,7 @@ from sma_bench.records.cells import WORDS, cell_kind, message, parse_unit, split
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
 MOST_COLUMNS, LONGEST_NAME = 1000, 120
-_FEWEST = 3  # rows; fewer beside a larger table are notes
+_FEWEST = 3  # rows; fewer next to a larger table are notes
 _SHORT = 0.05  # of the rows; if more lack their last cells, these are empty, not lost
 _CELL_SAMPLE, _ROW_SAMPLE = 1000, 400  # to find the kind of a column, to find the separator
 _END_OF_HEADER = "***End_of_Header***"
@@ -314,7 +314,7 @@ def tables_of(rows: Sequence[Row], separator: str | None, name: str,
                 blocks.append(_Block(separator, lines, between, [], []))
             between, width = [], len(row[1])
             blocks[-1].rows.append(row)
-    # A few rows of numbers beside a larger table are notes.
+    # A few rows of numbers next to a larger table are notes.
     fewest = min(_FEWEST, max((len(block.rows) for block in blocks), default=0))
     tables, heads = list[Table](), list[Row]()
     for block in blocks:

@@ -110,7 +110,7 @@ class NodeCalls:
                      on_state: Callable[[str], None] = lambda state: None,
                      simulated_time: bool = False, needed: Collection[str] = ()) -> None:
         """Let the experiment node run a protocol while a recorder started here records it. If
-        anything ends this early, the experiment stops at 0 V, and the unfinished bag stays beside
+        anything ends this early, the experiment stops at 0 V, and the unfinished bag stays next to
         `bag`. `protocol`: its file; `name`, `seconds`: its name and duration; `bag`: new folder;
         `on_state`: called with the experiment's state about 20 times a second, may raise to end it;
         `simulated_time`: whether the bench runs on /clock; `needed`: relative topics to be recorded

@@ -193,7 +193,7 @@ def test_a_bad_protocol_or_argument_is_refused_unless_it_may_be_that_of_an_inclu
 
 
 def played(**given):
-    """The player's command, its topic remappings, and the nodes beside it."""
+    """The player's command, its topic remappings, and the nodes that run with it."""
     command, nodes = plan_replay(given)
     topics = command[command.index("--topics") + 1 : command.index("--remap")]
     moved = dict(pair.split(":=") for pair in command[command.index("--remap") + 1 :])

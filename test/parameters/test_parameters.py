@@ -100,6 +100,8 @@ def test_a_written_file_reads_back_the_same(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("round") / "p.yaml"
     chosen = data.draw(st.lists(st.sampled_from(NUMBERS), unique=True, max_size=5))
     chosen = [p for p in chosen if not p.name.endswith(ONLY_WITH_OTHERS)]
+    if any(p.name.startswith("effect.slack.") for p in chosen):  # is refused with friction
+        chosen = [p for p in chosen if p.name != "load.friction"]
     values = {p.name: data.draw(st.floats(p.low, p.high)) for p in chosen}
     stds = {p.name: data.draw(st.floats(0, 10)) for p in chosen if p.uncertainty is not None}
     original = Parameters(values, stds)
