@@ -158,7 +158,7 @@ class BenchDriver:
             raise LinkError(self.state)
         self._with_retries(self._link.reset)
         self._stopped = ""
-        self._guard.recorder("")
+        self._guard.reset()
         self._watch_shared_sensors()
 
     def _require_stopped(self) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from statistics import fmean
 from typing import NamedTuple
 
+from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
@@ -29,6 +30,7 @@ _RATE_BASE = 0.05  # s, shortest base of a heating rate; a camera's stamps jitte
 _MODELLED_CURRENT = 2.0  # times the maximum: the model sees larger readings clipped to this
 _REST_VOLTAGE, _REST_TIME = 0.5, 10.0  # V; time constants until a wire has room temperature
 _ROOM_ERROR = 20.0  # K, largest error of the stated room temperature
+_CLOCK_DRIFT, _OTHER_TIME = 1e-3, 60.0  # s/s of two clocks, one being slewed; s
 _OFF_CURRENT = 0.3  # A; an uncalibrated ACS712 may be 0.4 A off, a calibrated one is not
 
 
@@ -137,27 +139,53 @@ class Watchdog:
 
 
 class Freshness(Watchdog):
-    """Age of one reading. Only a new stamp counts: a driver that repeats itself is stale, too."""
+    """Age of one reading by its stamps, whose clock may differ from this computer's: it is as old
+    as it came later than the promptest one. So what is repeated, delayed or replayed is stale."""
 
-    def __init__(self, subject: str, timeout: float) -> None:
+    def __init__(self, subject: str, timeout: float, aged: bool = True) -> None:
+        """`aged`: judge the stamps; else (simulated time) every new one is fresh."""
         super().__init__(timeout)
-        self._subject, self._stamp = subject, math.nan
+        self._subject, self._aged, self._stamp = subject, aged, math.nan
+        self._heard, self._least, self._offset = -math.inf, math.inf, 0.0
 
     def seen(self, stamp: float, now: float) -> bool:
-        """Note a reading acquired at `stamp` s, received at `now` s (two clocks); True if new."""
-        if is_new := stamp != self._stamp:
-            self._stamp = stamp
+        """Note a reading acquired at `stamp` s, received at `now` s; True if its stamp is new."""
+        self._least += _CLOCK_DRIFT * (now - self._heard)
+        self._heard = now
+        if stamp == self._stamp:
+            return False
+        self._stamp, age = stamp, now - stamp
+        if not self._aged:
             self.feed(now)
-        return is_new
+        elif not math.isnan(age):
+            self._least, self._offset = min(self._least, age), age
+            self.feed(max(self.fed, now - (age - self._least)))
+        return True
+
+    def learn_clock(self) -> None:
+        """Forget how prompt readings were: the clock of their stamps may have been set back."""
+        self._least = math.inf
+
+    def doubt(self, most: float) -> str:
+        """Report of a timestamp that is more than `most` s off the time of its arrival, or ""."""
+        off, side = abs(self._offset), "before" if self._offset > 0.0 else "after"
+        return "" if off <= most else (
+            f"{self._subject} has timestamps {off:.1f} s {side} their arrival: late, replayed, or "
+            "of a clock that must be set")
 
     def fault(self, now: float) -> str:
         """Why the reading cannot be trusted at `now` s, or ""."""
+        if math.isinf(self._heard):
+            return f"no feedback: {self._subject} was never received"
+        if reason := self.doubt(_OTHER_TIME):
+            return reason
         if not self.expired(now):
             return ""
-        if math.isinf(self.fed):
-            return f"no feedback: {self._subject} was never received"
-        return (f"stale feedback: nothing new from {self._subject} for {now - self.fed:.2f} s, "
-                f"limit {self.timeout:g} s")
+        age, limit = f"{now - self.fed:.2f} s", f"limit {self.timeout:g} s"
+        if now - self._heard > self.timeout:
+            return f"stale feedback: nothing new from {self._subject} for {age}, {limit}"
+        return (f"stale feedback: {self._subject} arrives, but its newest timestamp is {age} old, "
+                f"{limit} (reset if its clock was set)")
 
 
 class CommandGate:
@@ -397,21 +425,32 @@ def _celsius(kelvin: float, digits: int = 1) -> str:
 class Guard:
     """Checks the commands and readings of all channels; `fault` is the reason not to drive."""
 
-    def __init__(self, channels: Iterable[str], feedback: Iterable[str], timeout: float) -> None:
+    def __init__(self, channels: Iterable[str], feedback: Sequence[str], timeout: float,
+                 aged: bool = True) -> None:
         """Require `feedback` ("power", "temperature") of all channels at least every `timeout` s. A
-        disagreement between model and readings is a fault when it lasts for `timeout` s."""
-        self._timeout = timeout
+        disagreement between model and readings is a fault when it lasts for `timeout` s. `aged` as
+        of `Freshness`; then stamps are converted to the clock of `now`. InputError: `feedback`."""
+        if not (given := set(feedback)) or given - set(FEEDBACK):
+            raise InputError(f"feedback: {', '.join(feedback)!r}, expected power, temperature or "
+                             "both")
+        self._timeout, self.aged = timeout, aged
         self._wires = {channel: Wire(channel) for channel in channels}
         self._boards: dict[str, Lasting] = {side: {} for side in ("front", "back")}
         self.wanted = [f"{channel}/{kind}" for channel in self._wires for kind in feedback]
-        known = [f"{channel}/{kind}" for channel in self._wires for kind in FEEDBACK]
-        self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
+        self.known = [f"{channel}/{kind}" for channel in self._wires for kind in FEEDBACK]
+        self._fresh = {name: Freshness(name, timeout, aged) for name in (*self.wanted, *self.known)}
         self._found = {"recorder": ""}
         self.flowing = ""  # report of a current with all outputs of a board off
 
     def recorder(self, failure: str) -> None:
         """Note why the recorder failed (a full disk), "" when it records or need not."""
         self.found("recorder", f"recording failed: {failure}" if failure else "")
+
+    def reset(self) -> None:
+        """Somebody has seen to the last fault: forget what was latched, and the stamps' clocks."""
+        self.recorder("")
+        for fresh in self._fresh.values():
+            fresh.learn_clock()
 
     def found(self, subject: str, reason: str) -> None:
         """Note the fault of a subject, "" for none."""
@@ -478,6 +517,11 @@ class Guard:
             flowing += [reasons[FLOWING]] if FLOWING in reasons else []
             self.found(f"{side} board", next(iter(reasons.values()), ""))
         self.flowing = "; ".join(flowing)
+
+    def doubt(self) -> str:
+        """Report of readings that may be later than they seem, if their clock is right, or ""."""
+        doubts = (fresh.doubt(self._timeout) for fresh in self._fresh.values())
+        return next(filter(None, doubts), "")
 
     def oldest(self, now: float) -> float:
         """Age (s) of the oldest required reading."""

@@ -105,11 +105,11 @@ class ClosedLoop(OpenLoop):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The bench's topics: is there a subscriber of commands, has simulated time begun, which states
-    for `Readiness` have a publisher (`present`), which topics must be recorded (`published`)."""
+    """The bench's topics: is there a subscriber of commands, what is wrong with our clock, which
+    states for `Readiness` have a publisher (`present`), what must be recorded (`published`)."""
 
     commands_heard: bool = True
-    has_time: bool = True
+    clock_fault: str = ""
     present: Set[str] = field(default_factory=frozenset)
     published: Callable[[], list[str]] = list
 
@@ -143,7 +143,7 @@ class Run:
         self._begin = self._progress_due = self._skipped = self._time = 0.0
         self._started: float | None = None  # s of the bench's clock, after the lead-in
         self._waiting: Waiting | None = None
-        self._readings = {name: Freshness(f"joint_states ({name})", feedback_timeout)
+        self._readings = {name: Freshness(f"joint_states ({name})", feedback_timeout, guard.aged)
                           for name in loop.needs}
         self.state, self.state_text, self.step = IDLE, IDLE, ""
         self.protocol: Protocol | None = None
@@ -158,7 +158,8 @@ class Run:
             return
         self._loop.heard(quantity, channel, value)
         name = f"{quantity} {channel}".strip()
-        fresh = self._readings.setdefault(name, Freshness(name, self._feedback_timeout))
+        new = Freshness(name, self._feedback_timeout, self._guard.aged)
+        fresh = self._readings.setdefault(name, new)
         fresh.seen(stamp, now)
         if self._waiting is not None:
             self._waiting.heard(quantity, channel, value, self._time)
@@ -175,9 +176,8 @@ class Run:
         around = self._outputs.surroundings()
         if not around.commands_heard:
             return "nothing listens to voltage_command"
-        if not around.has_time:
-            return "use_sim_time is set, but there is no /clock"
-        return self._readiness.obstacle(around.present, now) or self.fault(now)
+        return (around.clock_fault or self._readiness.obstacle(around.present, now)
+                or self.fault(now))
 
     def _missing(self, protocol: Protocol, now: float) -> str:
         """Report of a step that waits for a quantity that is not measured (any more), or ""."""
@@ -297,7 +297,9 @@ class Run:
         if self.running:
             raise InputError("running: stop first")
         self._aborted = ""
-        self._guard.recorder("")
+        self._guard.reset()
+        for fresh in self._readings.values():
+            fresh.learn_clock()
         self.enter(IDLE)
         return IDLE
 

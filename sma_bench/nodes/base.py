@@ -20,8 +20,10 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from sma_bench.border import claimed, shown
+from sma_bench.border import claimed, printable, shown
 from sma_bench.errors import InputError
+from sma_bench.live.recording import BRIDGE as BRIDGE_STATE
+from sma_bench.live.recording import RECORDER, RUN_STATES, STATE
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
@@ -48,6 +50,9 @@ class BenchNode(OverridableNode):
         if "twin" in self.get_namespace().split("/"):
             raise InputError(f"namespace {self.get_namespace()}: recorders and readers ignore "
                              "topics below twin/, expected another name")
+        if self.get_name() != name and f"{name}{STATE}" in {RECORDER, BRIDGE_STATE, *RUN_STATES}:
+            raise InputError(f"renamed to {self.get_name()}: other nodes look for {name} by its "
+                             "name; another bench has another namespace (-r __ns:=/other)")
         self.failure: InputError | None = None
         self.claims = [claimed(self.get_fully_qualified_name())]
         # A change of clock during a run would spoil all stamps.
@@ -199,9 +204,14 @@ class BenchNode(OverridableNode):
 
     def _validated(self, changed: Mapping[str, Any]) -> tuple[dict[str, Any], Parameters]:
         """Own and contract parameters with `changed` applied. InputError: not valid."""
-        values = {name: changed[name] if name in changed else self.get_parameter(name).value
+        values = {name: changed.get(name, self.get_parameter_or(name).value)
                   for name in (*self._own, *self._contract)}
+        values = {name: [] if v is None else v for name, v in values.items()}  # rclpy's empty list
         settings = {name: p.validated(values[name]) for name, p in self._own.items()}
+        for name, value in settings.items():
+            for text in value if isinstance(value, tuple) else (value,):
+                if not str(text).isprintable():  # it would break a line of the log, or a path
+                    raise InputError(f"{name}: '{printable(str(text))}', expected printable text")
         # Names left at their default stay unstated, as when read from a file.
         given = {name: values[name] for name, p in self._contract.items()
                  if name in self._stated or _plain(values[name]) != _plain(p.default)}

@@ -17,7 +17,7 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import CELSIUS_ZERO, FEEDBACK, Guard, Limits
+from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.live.recording import BRIDGE, RECORDER, RUN_STATES, Readiness, recorder_failure
 from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
@@ -26,7 +26,7 @@ from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, Quantity
 from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
-_WATCH_EVERY = 0.05  # s
+_WATCH_EVERY, _LOOK_EVERY = 0.05, 0.5  # s
 _SIMULATION_PAUSE = 10.0  # wall s that a loaded machine may pause a simulation: harmless there
 _STEADY = 2.0  # s; while several benches start, readings may be late by a second or more
 
@@ -39,16 +39,14 @@ class ExperimentNode(BenchNode):
     def __init__(self) -> None:
         super().__init__(self.called)
         settings, channels = self.settings, self.parameters["bench.channels"]
-        for kind in settings["feedback"]:
-            if kind not in FEEDBACK:
-                raise InputError(f"feedback: {kind!r}, expected {' or '.join(FEEDBACK)}")
         self._bench_clock, pause = self.get_clock(), _SIMULATION_PAUSE
         if not self.simulated:
             be_punctual(DRIVER)
             self._bench_clock, pause = Clock(clock_type=ClockType.STEADY_TIME), 0.0
         self._feedback_timeout = max(settings["feedback_timeout"], pause)
         self._labelled = partial(ros.voltage_command, channels, signed=ros.signature(self))
-        self._guard = Guard(channels, settings["feedback"], self._feedback_timeout)
+        self._guard = Guard(channels, settings["feedback"], self._feedback_timeout,
+                            aged=not self.simulated)
         self._readiness = Readiness(lambda: self.settings["require_recorder"])
         self._loop = self.loop()
         self.check_settings(settings)
@@ -81,6 +79,7 @@ class ExperimentNode(BenchNode):
         else:
             self.create_timer(period, self._tick, clock=self._bench_clock)
         self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
+        self.every(_LOOK_EVERY, self._look)
         self._run.enter(IDLE)
         if not settings["autostart"]:
             name = self.get_fully_qualified_name()
@@ -115,9 +114,12 @@ class ExperimentNode(BenchNode):
     def health(self) -> list[DiagnosticStatus]:
         run = self._run
         level = DiagnosticStatus.ERROR if run.state == ABORTED else DiagnosticStatus.OK
-        return [self.status("run", level, run.state_text, {
+        found = [self.status("run", level, run.state_text, {
             "protocol": run.protocol.name if run.protocol else "", "step": run.step,
             "obstacle": "" if run.running else run.obstacle(time.monotonic())})]
+        if doubt := self._guard.doubt():
+            found.append(self.status("clocks", DiagnosticStatus.WARN, doubt))
+        return found
 
     def on_time_went_back(self, reason: str) -> None:
         """Steps and voltages would no longer fit the time."""
@@ -137,21 +139,33 @@ class ExperimentNode(BenchNode):
 
     def on_power(self, channel: str, message: BatteryState) -> None:
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
-        stamp = ros.seconds_of(message)
-        self._guard.power(channel, message.voltage, message.current, stamp, now, limits)
+        taken = self._taken(message)
+        self._guard.power(channel, message.voltage, message.current, taken, now, limits)
         self._run.check(now)  # the next reading may hide this one's fault
 
     def on_temperature(self, channel: str, message: Temperature) -> None:
-        kelvin, stamp = message.temperature + CELSIUS_ZERO, ros.seconds_of(message)
+        kelvin, taken = message.temperature + CELSIUS_ZERO, self._taken(message)
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
-        self._guard.temperature(channel, kelvin, stamp, now, limits)
-        self._run.heard("temperature", channel, kelvin, stamp, now)
+        self._guard.temperature(channel, kelvin, taken, now, limits)
+        self._run.heard("temperature", channel, kelvin, taken, now)
         self._run.check(now)
 
     def on_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
         if position is not None:
-            self._run.heard("deflection", "", position, ros.seconds_of(message), time.monotonic())
+            taken, now = self._taken(message), time.monotonic()
+            self._run.heard("deflection", "", position, taken, now)
+
+    def _taken(self, message: Any) -> float:
+        """Acquisition time of a reading: s of simulated time, else of the monotonic clock."""
+        if self.simulated:
+            return ros.seconds_of(message)
+        age = self.get_clock().now().nanoseconds - ros.stamp_of(message)
+        return time.monotonic() - age / ros.NANOSECONDS
+
+    def _look(self) -> None:
+        several = ros.several_publishers(self, self._guard.known)
+        self._guard.found("publishers", several)
 
     def _on_clock(self, _: TimeJump) -> None:
         """Send one command per period of the simulated clock, as the bench waits for it. A timer of
@@ -176,7 +190,7 @@ class ExperimentNode(BenchNode):
         topics = (BRIDGE, RECORDER, *self._others)
         readings = map(self.resolve_topic_name, self._guard.wanted)
         return Surroundings(self._command.get_subscription_count() > 0,
-                            self._bench_clock.now().nanoseconds > 0,
+                            ros.clock_fault(self),
                             {name for name in topics if self.count_publishers(name)},
                             lambda: [*{*ros.recorded_topics(self), *readings}])
 

@@ -1,5 +1,6 @@
 """Records every contract topic of its namespace to a bag that stays readable if it is killed."""
 
+import os
 import shutil
 import time
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from sma_bench.live.recording import FAILED, RECORDING, Recording
 from sma_bench.nodes.base import BenchNode
 from sma_bench.records.bag_writer import BagWriter
 from sma_bench.records.contract import IMAGE
-from sma_bench.ros.node import message_class, recorded_topics
+from sma_bench.ros.node import clock_fault, message_class, recorded_topics, several_publishers
 
 _LOOK_EVERY, _FLUSH_EVERY = 0.2, 1.0  # s
 _DEPTH, _IMAGE_DEPTH = 5000, 100  # messages that may wait for the disk: some seconds of readings
@@ -35,7 +36,7 @@ class Recorder(BenchNode):
     def __init__(self) -> None:
         super().__init__("recorder")
         self._recording = Recording(
-            self.settings["output"],
+            os.path.expanduser(self.settings["output"]),  # no shell does it after `output:=`
             lambda: (self.settings["skip_idle"], self.settings["idle_margin"]),
             self.fail, BagWriter)
         self._state, self._publish = "idle", self.line("~/state")
@@ -52,6 +53,9 @@ class Recorder(BenchNode):
             values["free_bytes"] = shutil.disk_usage(Path(recording.output or ".").parent).free
             if values["free_bytes"] < _NEARLY_FULL:
                 level, message = DiagnosticStatus.WARN, f"{message}; the disk is nearly full"
+        readings = [t for t in recording.topics if t.endswith(("/power", "/temperature", "/range"))]
+        if doubt := clock_fault(self) or several_publishers(self, readings):
+            level, message = DiagnosticStatus.WARN, f"{message}; {doubt}"
         if self.failure:
             level, message = DiagnosticStatus.ERROR, str(self.failure)
         return [self.status("bag", level, message, values)]

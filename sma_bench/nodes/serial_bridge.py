@@ -22,7 +22,7 @@ from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameter import SOURCES
 from sma_bench.ros import node as ros
 
-_TICK = 0.005  # s
+_TICK, _LOOK_EVERY = 0.005, 0.5  # s
 _SWITCH = 1e-4  # s: short, so that the link's thread can read its clock as soon as bytes arrive
 _AT_ONCE = 100_000  # ns between two readings of a clock, if the process was not interrupted
 _CLOCK_STEP = 1000  # Hz: telemetry windows are whole milliseconds
@@ -71,6 +71,7 @@ class SerialBridge(BenchNode):
                    reset=lambda: self._ask(driver.reset),
                    self_test=lambda: self._ask(self._self_test))
         self.every(_TICK, self._tick)
+        self.every(_LOOK_EVERY, self._look)
         self._link.start()
 
     def close(self) -> None:
@@ -101,6 +102,10 @@ class SerialBridge(BenchNode):
             if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
 
+    def _look(self) -> None:
+        heard = [f"{channel}/temperature" for channel in self._channels]
+        self._guard.found("publishers", ros.several_publishers(self, heard))
+
     def _check(self) -> None:
         if reason := self._driver.tick(time.monotonic()):
             self.get_logger().error(f"0 V: {reason}")
@@ -129,7 +134,7 @@ class SerialBridge(BenchNode):
             self._publish_state()
 
     def _enable(self) -> None:
-        if len(self.claims) == 1:  # of the node's name
+        if not self._driver.enabled:
             self.claims.append(ros.claim_readings(self, self._channels[0]))
         self._driver.enable(time.monotonic())
 
@@ -141,6 +146,8 @@ class SerialBridge(BenchNode):
         return text
 
     def _publish_state(self) -> None:
+        while not self._driver.enabled and len(self.claims) > 1:  # keep that of the node's name
+            self.claims.pop().close()
         if (state := self._driver.state) != self._last_state:
             self._last_state = state
             self._enter(state)
@@ -159,4 +166,8 @@ class SerialBridge(BenchNode):
         level = DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK
         if state not in ("idle", "enabled"):
             level = DiagnosticStatus.ERROR
-        return [self.status("bench", level, state, values, values.get("firmware", "no device"))]
+        device = values.get("firmware", "no device")
+        found = [self.status("bench", level, state, values, device)]
+        if doubt := self._guard.doubt():
+            found.append(self.status("clocks", DiagnosticStatus.WARN, doubt, hardware=device))
+        return found

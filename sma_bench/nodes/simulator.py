@@ -17,6 +17,7 @@ from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockst
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.ros.node import (
+    CLOCK,
     COMMAND,
     NANOSECONDS,
     READINGS,
@@ -28,7 +29,7 @@ from sma_bench.ros.node import (
 _SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; the latter: period of the fastest readings
 _SLICES_AT_ONCE = 8  # per callback, so that commands and services get their turn
 _MOST_CAUGHT_UP = 1000  # slices run before a command in real time, if the machine was late
-_CLOCK, _CLOCK_REPEAT, _CLOCK_WATCH = "/clock", 0.05, 0.5  # s
+_CLOCK_REPEAT, _CLOCK_WATCH = 0.05, 0.5  # s
 
 
 class Simulator(BenchNode):
@@ -43,12 +44,12 @@ class Simulator(BenchNode):
         if self._fast:
             # Two clocks on one topic would spoil the records of both benches unnoticed.
             try:
-                self.claims.append(claimed(self.resolve_topic_name(_CLOCK)))
+                self.claims.append(claimed(self.resolve_topic_name(CLOCK)))
             except InputError as error:
                 reason = f"{error}; above real time each bench needs its own domain"
                 raise InputError(reason) from None
             self._others: Subscription | None = None
-            self._clock_publisher = self.create_publisher(Clock, _CLOCK, READINGS)
+            self._clock_publisher = self.create_publisher(Clock, CLOCK, READINGS)
             self.every(_CLOCK_WATCH, self._watch_clock)
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
         self._slice = round(slice_length * NANOSECONDS)
@@ -132,16 +133,16 @@ class Simulator(BenchNode):
 
     def _watch_clock(self) -> None:
         # The graph still lists killed nodes: only a received clock counts.
-        if self._others is None and self.count_publishers(_CLOCK) > 1:
-            self._others = self.create_subscription(Clock, _CLOCK, self.on_clock, READINGS)
+        if self._others is None and self.count_publishers(CLOCK) > 1:
+            self._others = self.create_subscription(Clock, CLOCK, self.on_clock, READINGS)
 
     def on_clock(self, message: Clock) -> None:
         time_ns = message.clock.sec * NANOSECONDS + message.clock.nanosec
         if (time_ns - self._epoch) % self._slice:  # not a tick of this clock
-            infos = self.get_publishers_info_by_topic(_CLOCK)
+            infos = self.get_publishers_info_by_topic(CLOCK)
             names = {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
             others = ", ".join(sorted(names - {self.get_fully_qualified_name()})) or "another node"
-            self.fail(InputError(f"{_CLOCK} has a second publisher: {others}"))
+            self.fail(InputError(f"{CLOCK} has a second publisher: {others}"))
 
     def health(self) -> list[DiagnosticStatus]:
         gate, now, (before, counts) = self._gate, self._now / NANOSECONDS, self._reported

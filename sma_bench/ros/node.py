@@ -12,7 +12,7 @@ import math
 import socket
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import rclpy
@@ -36,7 +36,7 @@ except ImportError:
 
 from sma_bench.border import claimed, shown
 from sma_bench.errors import InputError
-from sma_bench.live.recording import recorded_type
+from sma_bench.live.recording import BRIDGE, recorded_type
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import choose_discovery
 
@@ -51,7 +51,7 @@ _LEAVING = 0.2  # s in which a peer on a busy machine reads what it has received
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
                                      QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
 
-COMMAND, NANOSECONDS, NAN = "voltage_command", 1_000_000_000, math.nan
+COMMAND, CLOCK, NANOSECONDS, NAN = "voltage_command", "/clock", 1_000_000_000, math.nan
 _NEAREST, _FARTHEST = 0.02, 0.3  # m, assumed of the composite rig's triangulation sensors
 
 
@@ -209,6 +209,30 @@ def stamp_of(message: Any) -> int:
 def seconds_of(message: Any) -> float:
     """As `stamp_of`, in s."""
     return stamp_of(message) / NANOSECONDS
+
+
+def clock_fault(node: Node) -> str:
+    """Why the clock of this node is not that of its bench, or ""."""
+    if node.get_parameter("use_sim_time").value:
+        if not node.get_clock().now().nanoseconds:
+            return "use_sim_time is set, but there is no /clock"
+        real = node.count_publishers(BRIDGE)
+        return "use_sim_time is set, but serial_bridge runs in real time" if real else ""
+    for info in node.get_publishers_info_by_topic(CLOCK):
+        if info.node_namespace == node.get_namespace():
+            return f"{info.node_name} publishes /clock, but use_sim_time is not set here"
+    return ""
+
+
+def several_publishers(node: Node, topics: Iterable[str]) -> str:
+    """Report of a topic with more than one publisher, or "": nothing shows whose readings are true.
+    The graph lists a killed node for some 20 s."""
+    for topic in topics:
+        infos = node.get_publishers_info_by_topic(topic)
+        if len(infos) > 1:
+            names = sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos)
+            return f"{topic} has {len(infos)} publishers: {shown(', '.join(names), _LONGEST_NAME)}"
+    return ""
 
 
 def recorded_topics(node: Node) -> dict[str, str]:

@@ -71,17 +71,33 @@ def test_a_watchdog_is_never_off_and_the_gate_zeroes_its_outputs_on_silence_and_
     assert gate.outputs(10.6) == (0.0, 0.0)
 
 
-def test_the_same_reading_again_is_not_fresh():
+def test_a_reading_is_as_old_as_its_stamp_by_any_clock_that_runs_like_ours():
     fresh = safety.Freshness("wire/power", 1.0)
     assert "never received" in fresh.fault(0.0)
+    old = "stale feedback: wire/power arrives, but its newest timestamp is 1."
     for stamp, seen, now, fault in (
-        (5.0, 100.0, 100.5, ""),
-        (5.0, 100.9, 101.0, ""),
-        (5.0, 101.05, 101.1, "stale feedback: nothing new from wire/power for 1.10 s, limit 1 s"),
-        (1.0, 101.2, 101.3, ""),  # a restarted clock
+        (95.0, 100.0, 100.5, ""),
+        (95.0, 100.9, 101.0, ""),
+        (95.0, 101.05, 101.1, old),  # repeated
+        (96.2, 101.2, 101.3, ""),
+        (91.0, 101.3, 102.25, old),  # delayed, or its clock was set back
+        (96.0, 102.4, 103.5, "stale feedback: nothing new from wire/power for 2.30 s"),
     ):
         fresh.seen(stamp=stamp, now=seen)
-        assert is_said(fault, fresh.fault(now))
+        assert is_said(fault, fresh.fault(now)), (stamp, fresh.fault(now))
+    fresh.learn_clock()
+    fresh.seen(stamp=96.5, now=104.0)
+    assert fresh.fault(104.0) == "" and "7.5 s before" in fresh.doubt(1.0)
+    fresh.seen(stamp=200.0, now=104.1)
+    assert fresh.fault(104.1).startswith("wire/power has timestamps 95.9 s after their arrival")
+
+
+@pytest.mark.parametrize(("pace", "is_stale"), [(1.0, False), (0.9995, False), (0.9, True)])
+def test_a_clock_may_run_slowly_but_not_as_slowly_as_a_growing_delay(pace, is_stale):
+    fresh = safety.Freshness("wire/power", 1.0)
+    for k in range(50_000):
+        fresh.seen(stamp=pace * 0.1 * k, now=30.0 + 0.1 * k)
+    assert bool(fresh.fault(5030.0)) == is_stale
 
 
 class Bench:

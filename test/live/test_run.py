@@ -105,7 +105,7 @@ UNHEARD = "warm waits for it: stale feedback: nothing new from temperature wire"
 
 @pytest.mark.parametrize(("protocol", "wrong", "reason"), [
     (LONG, {"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25"),
-    (LONG, {"frozen": True}, "stale feedback: nothing new from wire/"),
+    (LONG, {"frozen": True}, "stale feedback: wire/power arrives, but its newest timestamp"),
     (LONG, {"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
     (WAITS, {"told": None}, UNHEARD), (WAITS, {"told": lambda _: math.nan}, UNHEARD),
 ])  # fmt: skip
@@ -165,7 +165,7 @@ def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     assert bench.start() == (False, "warm waits for temperature, which is not published")
     for around, why in (
         (Surroundings(commands_heard=False), "nothing listens to voltage_command"),
-        (Surroundings(has_time=False), "use_sim_time is set, but there is no /clock"),
+        (Surroundings(clock_fault="there is no /clock"), "there is no /clock"),
     ):
         bench.around = around
         assert bench.start() == (False, why)

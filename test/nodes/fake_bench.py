@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from rclpy.duration import Duration
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 
 RESISTANCE = 2.6987
@@ -14,7 +15,7 @@ class FakeBench:
     is at rest. Kinds in `silent` (power, temperature, joints) are not published."""
 
     def __init__(self, bench, driver="experiment", channels=("wire",)):
-        self.celsius, self.ampere, self.silent = 25.0, None, set()
+        self.celsius, self.ampere, self.silent, self.late = 25.0, None, set(), 0.0
         self.bench, self._channels = bench, len(channels)
         self.commands, self.states, self.progress = bench.hear(
             "voltage_command", f"{driver}/state", f"{driver}/progress"
@@ -26,7 +27,7 @@ class FakeBench:
         if len(channels) > 1:
             tip = JointState(name=["tip"], position=[0.0])
             self._tell("joints", JointState, "joint_states", lambda: tip)
-        bench.node.create_timer(0.02, self._publish)
+        bench.node.create_timer(0.02, self.publish)
 
     def _tell(self, kind, message, topic, make):
         publisher = self.bench.node.create_publisher(message, topic, 10)
@@ -61,9 +62,11 @@ class FakeBench:
     def _temperature(self):
         return Temperature(temperature=float(self.celsius))
 
-    def _publish(self):
+    def publish(self):
+        """Publish all once, stamped `late` s ago."""
+        stamp = self.bench.node.get_clock().now() - Duration(seconds=self.late)
         for kind, publisher, make in self._publishers:
             if kind not in self.silent:
                 message = make()
-                message.header.stamp = self.bench.node.get_clock().now().to_msg()
+                message.header.stamp = stamp.to_msg()
                 publisher.publish(message)

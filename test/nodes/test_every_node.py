@@ -184,6 +184,7 @@ def test_every_node_announces_itself_once_then_its_status_and_its_name_if_it_can
         ("ir_camera", ["-p", "wires:=['']"], "[ir_camera]: -p: unknown parameter wires"),
         ("recorder", ["-r", "a:b:c"], "[recorder]: "),
         ("simulator", ["-r", "__ns:=/cell/twin"], "[simulator]: namespace /cell/twin: "),
+        ("serial_bridge", ["-r", "__node:=uno"], "[serial_bridge]: renamed to uno: "),
         ("recorder", ["-p", f"output:={tmp_path}"], f"[recorder]: {tmp_path}: exists already"),
     ):
         node = bench.start_with(name, ["--ros-args", *arguments])
@@ -217,6 +218,7 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
     ("simulator", "bench.channels:=[ambient]", "'ambient' cannot name a channel"),
     ("simulator", f"bench.channels:=[{'x' * 300}]", "Invalid topic name"),
     ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
+    ("recorder", 'output:="a\\nb"', r"output: 'a\\nb', expected printable text"),
     ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
 ])  # fmt: skip
 def test_a_node_refuses_impossible_parameters_in_one_line(make, name, given, said):

@@ -49,6 +49,9 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert sent[40:80] == pytest.approx([2.0 + 0.05 * k for k in range(40)], abs=1e-6)
     assert sent[80:100] == [0.0] * 20
     assert node.end() == 0
+    bench.start("experiment")
+    why = "simulator publishes /clock, but use_sim_time is not set here"
+    bench.until(lambda: bench.value("obstacle") == why)
 
 
 def test_a_clock_of_finer_steps_than_the_commands_has_one_command_a_period(bench, protocol):
@@ -115,12 +118,22 @@ def test_limits_and_clock_stay_and_any_report_of_a_fault_ends_the_run(
     assert not bench.set_parameter("experiment", limit, 700.0).successful
     assert bench.set_parameter("experiment", heat_transfer, 200.0).successful
     start()
-    camera = bench.talk("wire/temperature", Temperature)
     for celsius in (160.0, 25.0):  # before the next command is due
-        message = Temperature(temperature=celsius)
-        message.header.stamp = bench.node.get_clock().now().to_msg()
-        camera.publish(message)
+        fake.celsius = celsius
+        fake.publish()
     aborts("over-temperature: wire at 160.0 degC")
+    start()
+    second = bench.talk("wire/temperature", Temperature)
+    aborts("wire/temperature has 2 publishers: /bench/test, /bench/test")
+    bench.node.destroy_publisher(second)
+    start()
+    fake.late = 1e6
+    aborts("wire/power has timestamps 1000000.0 s before their arrival")
+    fake.late = 5.0  # a clock that differs
+    start()
+    bench.until(lambda: bench.status("experiment: clocks"))
+    fake.late = 8.0
+    aborts("stale feedback: wire/")
     start()
     fake.ampere = 3.5
     aborts("over-current: wire at 3.50 A, limit 3 A")

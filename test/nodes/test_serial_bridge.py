@@ -81,6 +81,10 @@ def test_the_bridge_is_not_enabled_beside_a_simulator_that_publishes_the_same_re
         assert not refused.success and "/bench/wire/power is there already" in refused.message
         simulator.end()
         rig.enable()
+        rig.ask("stop")
+        assert not rig.ask("enable").success
+        simulator = bench.start("simulator")  # the refused one claims nothing
+        bench.until(lambda: "ready" in simulator.output)
 
 
 def assert_no_reading_is_stamped_before_its_cause(rig):
