@@ -90,8 +90,10 @@ class ClosedLoop(OpenLoop):
 
     def ask(self, asked: Sequence[float], followed: Protocol | None, parameters: Parameters) -> str:
         """Take a reference from the topic, if the run has no end; returns why not, or ""."""
-        if followed is None or math.isfinite(followed.duration):
-            return "the reference is not taken from the topic now"
+        if followed is None:
+            return "reference on the topic, but no run follows it: start first"
+        if math.isfinite(followed.duration):
+            return f"reference on the topic, but {followed.name} is followed: -p \"reference:=''\""
         fault: str = self._controller.reference_fault(asked, parameters)
         if not fault:
             self._asked = asked
