@@ -26,7 +26,7 @@ from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, Quantity
 from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
-_WATCH_EVERY, _LOOK_EVERY = 0.05, 0.5  # s
+_WATCH_EVERY = 0.05  # s
 _SIMULATION_PAUSE = 10.0  # wall s that a loaded machine may pause a simulation: harmless there
 _STEADY = 2.0  # s; while several benches start, readings may be late by a second or more
 
@@ -79,7 +79,6 @@ class ExperimentNode(BenchNode):
         else:
             self.create_timer(period, self._tick, clock=self._bench_clock)
         self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
-        self.every(_LOOK_EVERY, self._look)
         self._run.enter(IDLE)
         if not settings["autostart"]:
             name = self.get_fully_qualified_name()
@@ -117,8 +116,10 @@ class ExperimentNode(BenchNode):
         found = [self.status("run", level, run.state_text, {
             "protocol": run.protocol.name if run.protocol else "", "step": run.step,
             "obstacle": "" if run.running else run.obstacle(time.monotonic())})]
-        if doubt := self._guard.doubt():
-            found.append(self.status("clocks", DiagnosticStatus.WARN, doubt))
+        several = ros.several_publishers(self, self._guard.known)
+        doubts = {"clocks": self._guard.doubt(), "publishers": several}
+        found += [self.status(name, DiagnosticStatus.WARN, doubt)
+                  for name, doubt in doubts.items() if doubt]
         return found
 
     def on_time_went_back(self, reason: str) -> None:
@@ -162,10 +163,6 @@ class ExperimentNode(BenchNode):
             return ros.seconds_of(message)
         age = self.get_clock().now().nanoseconds - ros.stamp_of(message)
         return time.monotonic() - age / ros.NANOSECONDS
-
-    def _look(self) -> None:
-        several = ros.several_publishers(self, self._guard.known)
-        self._guard.found("publishers", several)
 
     def _on_clock(self, _: TimeJump) -> None:
         """Send one command per period of the simulated clock, as the bench waits for it. A timer of

@@ -22,7 +22,7 @@ from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameter import SOURCES
 from sma_bench.ros import node as ros
 
-_TICK, _LOOK_EVERY = 0.005, 0.5  # s
+_TICK = 0.005  # s
 _SWITCH = 1e-4  # s: short, so that the link's thread can read its clock as soon as bytes arrive
 _AT_ONCE = 100_000  # ns between two readings of a clock, if the process was not interrupted
 _CLOCK_STEP = 1000  # Hz: telemetry windows are whole milliseconds
@@ -71,7 +71,6 @@ class SerialBridge(BenchNode):
                    reset=lambda: self._ask(driver.reset),
                    self_test=lambda: self._ask(self._self_test))
         self.every(_TICK, self._tick)
-        self.every(_LOOK_EVERY, self._look)
         self._link.start()
 
     def close(self) -> None:
@@ -101,10 +100,6 @@ class SerialBridge(BenchNode):
         while self._events:
             if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
-
-    def _look(self) -> None:
-        heard = [f"{channel}/temperature" for channel in self._channels]
-        self._guard.found("publishers", ros.several_publishers(self, heard))
 
     def _check(self) -> None:
         if reason := self._driver.tick(time.monotonic()):
