@@ -313,7 +313,7 @@ def test_pulses_between_two_readings_heat_as_they_were_sent():
     """Readings every 0.2 s sample pulses of that period at one phase, always on or always off."""
     mean = 0.3 * 8.0**2 / R / LIMITS.heat_loss
     for phase, volt in ((0, 8.0), (10, 0.0)):
-        bench, wire = Bench(feedback=[]), 0.0
+        bench, wire = Bench(feedback=["power"]), 0.0
         for k in range(400):
             bench.guard.commanded([8.0 if (k + phase) % 20 < 6 else 0.0])
             if k % 20 == 5:
@@ -335,16 +335,16 @@ def test_pulses_between_two_readings_heat_as_they_were_sent():
 
 
 def test_a_camera_that_sees_no_warming_disagrees_and_a_too_fast_warming_is_reported():
-    bench = Bench(feedback=[])
+    bench = Bench(feedback=["temperature"])
     assert all(bench.read(0.1 * k, kelvin=400.0) == "" for k in range(50))
-    bench, reasons = Bench(feedback=[]), []
+    bench, reasons = Bench(feedback=["temperature"]), []
     for now in moments(2.0):
         bench.read(now, 6.0)
         reasons.append(bench.read(now, kelvin=LIMITS.ambient))
     assert reasons[50] == ""
     assert reasons[-1].startswith("disagreement: a measured at 23 degC, the model says 107 degC")
     # Jitter of the stamps does not count as a heating rate.
-    bench = Bench(feedback=[])
+    bench = Bench(feedback=["temperature"])
     for kelvin, now, fault in (
         (300.0, 0.0, ""), (340.0, 0.001, ""),
         (400.0, 0.05, "heating rate: a rises by 2000 K/s, limit 1500 K/s"),
@@ -360,14 +360,14 @@ def test_an_aged_wire_in_a_cold_room_and_a_draught_is_not_taken_for_a_blind_came
     for at_rest, driven, cut in ((room, room + rise / draught, ""),
                                  (room, room, "5 degC, the model says 120 degC"),
                                  (room - 30.0, room + 15.0, "20 degC, the model says 118 degC")):
-        bench = Bench(feedback=[])
+        bench = Bench(feedback=["power"])
         for now in moments(3.0):
             assert bench.read(now, 0.0, 0.0, at_rest) == ""
         for k, now in enumerate(moments(1.5, 3.0)):
             fault = bench.read(now, 7.7, 7.7 / aged)
             fault = bench.read(now, kelvin=driven) if k % 4 == 0 and k > 40 else fault
         assert is_said(f"disagreement: a measured at {cut}" * bool(cut), fault)
-    bench = Bench(feedback=[])  # warm again before its next reading of power: that is no room
+    bench = Bench(feedback=["power"])  # warm again before its next reading of power: that is no room
     for now in moments(3.0):
         bench.read(now, 0.0, 0.0, room)
     bench.guard.commanded([7.7])
@@ -376,7 +376,7 @@ def test_an_aged_wire_in_a_cold_room_and_a_draught_is_not_taken_for_a_blind_came
         fault = bench.read(now, 7.7, 7.7 / aged)
         fault = bench.read(now, kelvin=room + rise / draught) if k > 40 else fault
     assert fault == ""
-    bench = Bench(feedback=[])  # pulses that no reading meets: what is warm then is no room
+    bench = Bench(feedback=["power"])  # pulses that no reading meets: what is warm then is no room
     for k, now in enumerate(moments(6.0)):
         bench.guard.commanded([3.0 if k % 4 == 2 else 0.0])
         fault = bench.read(now, 0.0, 0.0, room + 58.0 if now < 3.0 else LIMITS.ambient - 50.0)
