@@ -95,13 +95,10 @@ class BenchDriver:
 
     def diagnostics(self, now: float) -> dict[str, Any]:
         """`applied`: V at the wires by the last reading; empty before the first."""
-        gate, applied = self.gate, self.newest.powers if self.newest else ()
+        applied = self.newest.powers if self.newest else ()
         return {"state": self.state, "self_test": self.tested, "supply_volts": f"{self.supply:.2f}",
-                "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
                 "applied": " ".join(f"{power.voltage:.2f}" for power in applied),
-                "commander": gate.commander, "accepted_commands": gate.accepted,
-                "rejected_commands": gate.rejected, "command_timeouts": gate.timeouts,
-                "last_rejection": gate.last_rejection}
+                **self.gate.diagnostics(now)}
 
     # Requests. LinkError: not allowed in this state, or refused by the device.
 

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from statistics import fmean
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -243,6 +243,12 @@ class CommandGate:
             self.timeouts += 1
         return self._outputs if self._zeroed.expired(now) else self._zero
 
+    def diagnostics(self, now: float) -> dict[str, Any]:
+        return {"outputs": " ".join(f"{volt:g}" for volt in self.outputs(now)),
+                "commander": self.commander, "accepted_commands": self.accepted,
+                "rejected_commands": self.rejected, "command_timeouts": self.timeouts,
+                "last_rejection": self.last_rejection}
+
 
 def _named(sender: str) -> str:
     """A sender's name for messages, without the suffix that makes it unique."""
@@ -422,17 +428,21 @@ def _celsius(kelvin: float, digits: int = 1) -> str:
     return f"{kelvin - CELSIUS_ZERO:.{digits}f} degC"
 
 
+def checked_feedback(kinds: Sequence[str]) -> Sequence[str]:
+    """The kinds of reading that a node requires. InputError: none, or an unknown one."""
+    if not kinds or set(kinds) - set(FEEDBACK):
+        raise InputError(f"feedback: {', '.join(kinds)!r}, expected power, temperature or both")
+    return kinds
+
+
 class Guard:
     """Checks the commands and readings of all channels; `fault` is the reason not to drive."""
 
-    def __init__(self, channels: Iterable[str], feedback: Sequence[str], timeout: float,
+    def __init__(self, channels: Iterable[str], feedback: Iterable[str], timeout: float,
                  aged: bool = True) -> None:
         """Require `feedback` ("power", "temperature") of all channels at least every `timeout` s. A
         disagreement between model and readings is a fault when it lasts for `timeout` s. `aged` as
-        of `Freshness`; then stamps are converted to the clock of `now`. InputError: `feedback`."""
-        if not (given := set(feedback)) or given - set(FEEDBACK):
-            raise InputError(f"feedback: {', '.join(feedback)!r}, expected power, temperature or "
-                             "both")
+        of `Freshness`; then stamps are converted to the clock of `now`."""
         self._timeout, self.aged = timeout, aged
         self._wires = {channel: Wire(channel) for channel in channels}
         self._boards: dict[str, Lasting] = {side: {} for side in ("front", "back")}

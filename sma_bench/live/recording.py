@@ -163,26 +163,22 @@ class Readiness:
     def __init__(self, required: Callable[[], bool] = lambda: False) -> None:
         self.required = required  # must there be a recorder?
         self._recorder: dict[str, Any] | None = None
-        self._heard, self._bridge = 0.0, ""
-        self._others = dict[str, str]()  # states of other nodes that may drive
+        self._heard, self._states = 0.0, dict[str, str]()
 
-    def recorder(self, text: str, now: float) -> None:
-        """Note a message of the recorder's state, received at `now` s."""
-        self._recorder, self._heard = recorder_state(text), now
-
-    def bridge(self, text: str) -> None:
-        self._bridge = shown(text)
-
-    def other(self, topic: str, text: str) -> None:
-        self._others[topic] = shown(text)
+    def state(self, topic: str, text: str, now: float) -> None:
+        """Note the state of recorder, bridge or another driving node, received at `now` s."""
+        self._states[topic] = shown(text)
+        if topic == RECORDER:
+            self._recorder, self._heard = recorder_state(text), now
 
     def obstacle(self, present: Set[str], now: float) -> str:
         """Why no run may start, or ""; `present`: state topics that have a publisher."""
-        if BRIDGE in present and self._bridge != _ENABLED:
-            return f"serial_bridge is not enabled: {self._bridge or 'no state received yet'}"
-        for topic in self._others.keys() & present:
-            if self._others[topic].startswith(_RUNNING):
-                return f"{topic.removesuffix(STATE)} is {self._others[topic]}"
+        states = {topic: self._states.get(topic, "") for topic in present}
+        if BRIDGE in states and states[BRIDGE] != _ENABLED:
+            return f"serial_bridge is not enabled: {states[BRIDGE] or 'no state received yet'}"
+        for topic, state in states.items():
+            if topic in RUN_STATES and state.startswith(_RUNNING):
+                return f"{topic.removesuffix(STATE)} is {state}"
         if self.required() and RECORDER not in present:
             last = self._recorder or {}
             why = shown(last.get("failure", "")) or "nothing publishes recorder/state"
@@ -190,8 +186,8 @@ class Readiness:
         return self._recorder_fault(now) if self.required() else ""
 
     def fault(self, now: float) -> str:
-        if self._bridge not in ("", _ENABLED):
-            return f"serial_bridge: {self._bridge}"
+        if (bridge := self._states.get(BRIDGE, _ENABLED)) != _ENABLED:
+            return f"serial_bridge: {bridge}"
         return self._recorder_fault(now) if self.required() else ""
 
     def not_recorded(self, published: Iterable[str], wanted: Iterable[str]) -> list[str]:

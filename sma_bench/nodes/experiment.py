@@ -17,7 +17,7 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
+from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits, checked_feedback
 from sma_bench.live.recording import BRIDGE, RECORDER, RUN_STATES, Readiness, recorder_failure
 from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
@@ -45,8 +45,8 @@ class ExperimentNode(BenchNode):
             self._bench_clock, pause = Clock(clock_type=ClockType.STEADY_TIME), 0.0
         self._feedback_timeout = max(settings["feedback_timeout"], pause)
         self._labelled = partial(ros.voltage_command, channels, signed=ros.signature(self))
-        self._guard = Guard(channels, settings["feedback"], self._feedback_timeout,
-                            aged=not self.simulated)
+        self._guard = Guard(channels, checked_feedback(settings["feedback"]),
+                            self._feedback_timeout, aged=not self.simulated)
         self._readiness = Readiness(lambda: self.settings["require_recorder"])
         self._loop = self.loop()
         self.check_settings(settings)
@@ -62,11 +62,9 @@ class ExperimentNode(BenchNode):
         self._joint = TIP if moves_tip(self.parameters) else "wire"
         self.create_subscription(JointState, "joint_states", self.on_joints, ros.READINGS,
                                  newest=True)
-        self.create_subscription(String, BRIDGE, self.on_bridge, ros.LATCHED)
-        self.create_subscription(String, RECORDER, self.on_recorder, ros.LATCHED)
-        self._others = RUN_STATES - {f"{self.get_name()}/state"}
-        for topic in self._others:
-            self.create_subscription(String, topic, partial(self.on_other, topic), ros.LATCHED)
+        self._states = {BRIDGE, RECORDER, *RUN_STATES} - {f"{self.called}/state"}
+        for topic in self._states:
+            self.create_subscription(String, topic, partial(self.on_state, topic), ros.LATCHED)
         self.serve(start=lambda: self._run.start(time.monotonic(), self._plan),
                    stop=self._run.stop, reset=self._run.reset)
         self._ticked, period = 0, 1.0 / settings["command_rate"]
@@ -127,16 +125,12 @@ class ExperimentNode(BenchNode):
         if self._run.running:
             self._run.abort(reason)
 
-    def on_bridge(self, message: String) -> None:
-        self._readiness.bridge(message.data)
-        self._run.check(time.monotonic())
-
-    def on_recorder(self, message: String) -> None:
-        self._guard.recorder(recorder_failure(message.data))
-        self._readiness.recorder(message.data, time.monotonic())
-
-    def on_other(self, topic: str, message: String) -> None:
-        self._readiness.other(topic, message.data)
+    def on_state(self, topic: str, message: String) -> None:
+        now = time.monotonic()
+        if topic == RECORDER:
+            self._guard.recorder(recorder_failure(message.data))
+        self._readiness.state(topic, message.data, now)
+        self._run.check(now)
 
     def on_power(self, channel: str, message: BatteryState) -> None:
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
@@ -184,11 +178,10 @@ class ExperimentNode(BenchNode):
         return protocol
 
     def surroundings(self) -> Surroundings:
-        topics = (BRIDGE, RECORDER, *self._others)
         readings = map(self.resolve_topic_name, self._guard.wanted)
         return Surroundings(self._command.get_subscription_count() > 0,
                             ros.clock_fault(self),
-                            {name for name in topics if self.count_publishers(name)},
+                            {topic for topic in self._states if self.count_publishers(topic)},
                             lambda: [*{*ros.recorded_topics(self), *readings}])
 
     def send(self, voltage: list[float]) -> None:

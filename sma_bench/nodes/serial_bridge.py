@@ -14,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, String
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import SIDES, BenchSensors
-from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
+from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits, checked_feedback
 from sma_bench.hardware.serial_link import LinkError, SerialLink, find_port, open_port
 from sma_bench.hardware.serial_messages import Telemetry
 from sma_bench.live.recording import RECORDER, recorder_failure
@@ -53,7 +53,8 @@ class SerialBridge(BenchNode):
         sensors = BenchSensors(self.parameters["bench.channel_sides"], settings)
         self._link = SerialLink(lambda: open_port(settings["port"] or find_port()),
                                 rate, self._arrived.append, self._events.append)
-        self._guard = Guard(self._channels, settings["feedback"], settings["feedback_timeout"])
+        self._guard = Guard(self._channels, checked_feedback(settings["feedback"]),
+                            settings["feedback_timeout"])
         self._limits = Limits.from_parameters(self.parameters)
         self._driver = driver = BenchDriver(self._link, sensors, self._guard, self._channels,
                                             self._limits, settings["self_test_waived"])

@@ -1,11 +1,15 @@
-"""The simulated bench: same topics, types, rates and sensor noise as the hardware."""
+"""The simulated bench: same topics, types, rates and sensor noise as the hardware.
+
+In real time it catches up with the wall clock every 10 ms. Faster than that (`speed` above 1) it
+publishes /clock and advances one command period after the other, in lockstep with the commands."""
 
 import time
 from collections import Counter
 
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Time as TimeMessage
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.subscription import Subscription
+from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
@@ -24,6 +28,7 @@ from sma_bench.ros.node import (
     BenchTopics,
     Commanders,
     claim_readings,
+    several_publishers,
 )
 
 _SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; the latter: period of the fastest readings
@@ -32,8 +37,43 @@ _MOST_CAUGHT_UP = 1000  # slices run before a command in real time, if the machi
 _CLOCK_REPEAT, _CLOCK_WATCH = 0.05, 0.5  # s
 
 
+class SimulatedClock:
+    """/clock of a bench. Two on one topic would spoil the records of both benches unnoticed: a
+    second one of this package does not start, any other ends the node."""
+
+    def __init__(self, node: BenchNode, tick: int) -> None:
+        """`tick` ns: each published time is a multiple of it after the first."""
+        try:
+            node.claims.append(claimed(node.resolve_topic_name(CLOCK)))
+        except InputError as error:
+            reason = f"{error}; above real time each bench needs its own domain"
+            raise InputError(reason) from None
+        self._node, self._tick, self._sent, self._last = node, tick, 0.0, 0
+        self._others: Subscription | None = None
+        self._publisher = node.create_publisher(Clock, CLOCK, READINGS)
+        node.every(_CLOCK_WATCH, self._watch)
+
+    def publish(self, now: int) -> None:
+        """Publish the time (ns), also the same again: subscribers read it best effort, and a lost
+        one must not stop the lockstep."""
+        wall = time.monotonic()
+        if now != self._last or wall - self._sent > _CLOCK_REPEAT:
+            self._publisher.publish(Clock(clock=Time(nanoseconds=now).to_msg()))
+            self._last, self._sent = now, wall
+
+    def _watch(self) -> None:
+        # The graph still lists killed nodes: only a received clock counts.
+        if self._others is None and self._node.count_publishers(CLOCK) > 1:
+            self._others = self._node.create_subscription(Clock, CLOCK, self.on_clock, READINGS)
+
+    def on_clock(self, message: Clock) -> None:
+        heard = message.clock.sec * NANOSECONDS + message.clock.nanosec
+        if (heard - self._last) % self._tick:
+            self._node.fail(InputError(several_publishers(self._node, [CLOCK])))
+
+
 class Simulator(BenchNode):
-    """Simulated time runs in slices between commands; in real time a command ends a slice."""
+    """See the module; `_now` is simulated time."""
 
     frozen = True
 
@@ -41,18 +81,9 @@ class Simulator(BenchNode):
         super().__init__("simulator")
         limits, speed = Limits.from_parameters(self.parameters), self.settings["speed"]
         self._fast = speed > REAL_TIME
-        if self._fast:
-            # Two clocks on one topic would spoil the records of both benches unnoticed.
-            try:
-                self.claims.append(claimed(self.resolve_topic_name(CLOCK)))
-            except InputError as error:
-                reason = f"{error}; above real time each bench needs its own domain"
-                raise InputError(reason) from None
-            self._others: Subscription | None = None
-            self._clock_publisher = self.create_publisher(Clock, CLOCK, READINGS)
-            self.every(_CLOCK_WATCH, self._watch_clock)
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
         self._slice = round(slice_length * NANOSECONDS)
+        self._own_clock = SimulatedClock(self, self._slice) if self._fast else None
         self._now, self._epoch, self._begun = 0, time.time_ns(), 0  # ns: simulated; wall, monotonic
         self._bench = VirtualBench(self.parameters, self.settings)
         if not self._fast:  # the real device is never late
@@ -66,7 +97,7 @@ class Simulator(BenchNode):
         self._gate = CommandGate(len(channels), limits)
         self._lockstep = Lockstep(slice_length, speed, limits.command_timeout,
                                   self.settings["lockstep_patience"])
-        self._clock_sent, self._commanders = 0.0, Commanders(self)
+        self._commanders = Commanders(self)
         self.create_subscription(Float64MultiArray, COMMAND, self.on_command, READINGS)
         self.every(max(slice_length / speed, _SHORTEST_TICK), self._tick)
         self.get_logger().info(f"simulating {', '.join(channels)}, {speed:g} s a second")
@@ -100,9 +131,7 @@ class Simulator(BenchNode):
                 self._publish(reading)
             self._now = until
             self._publish_clock()
-        # Subscribers read /clock best effort: repeat it, as a lost one must not stop the lockstep.
-        if time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
-            self._publish_clock()
+        self._publish_clock()
 
     def _publish(self, reading: GroupReading) -> None:
         kind, values, stamp = reading.kind, reading.values, self._epoch + reading.time
@@ -122,36 +151,18 @@ class Simulator(BenchNode):
             self._topics.joint(stamp, *values)
 
     def _publish_clock(self) -> None:
-        if self._fast:
-            self._clock_publisher.publish(Clock(clock=self.stamp()))
-            self._clock_sent = time.monotonic()
+        if self._own_clock:
+            self._own_clock.publish(self._epoch + self._now)
 
-    def stamp(self) -> Time:
+    def stamp(self) -> TimeMessage:
         """Simulated time: this node publishes the clock and does not subscribe to it."""
-        seconds, rest = divmod(self._epoch + self._now, NANOSECONDS)
-        return Time(sec=seconds, nanosec=rest)
-
-    def _watch_clock(self) -> None:
-        # The graph still lists killed nodes: only a received clock counts.
-        if self._others is None and self.count_publishers(CLOCK) > 1:
-            self._others = self.create_subscription(Clock, CLOCK, self.on_clock, READINGS)
-
-    def on_clock(self, message: Clock) -> None:
-        time_ns = message.clock.sec * NANOSECONDS + message.clock.nanosec
-        if (time_ns - self._epoch) % self._slice:  # not a tick of this clock
-            infos = self.get_publishers_info_by_topic(CLOCK)
-            names = {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos}
-            others = ", ".join(sorted(names - {self.get_fully_qualified_name()})) or "another node"
-            self.fail(InputError(f"{CLOCK} has a second publisher: {others}"))
+        return Time(nanoseconds=self._epoch + self._now).to_msg()
 
     def health(self) -> list[DiagnosticStatus]:
         gate, now, (before, counts) = self._gate, self._now / NANOSECONDS, self._reported
         elapsed = max(self._now - before, 1) / NANOSECONDS
         self._reported = self._now, self._counts.copy()
-        values = {"commander": gate.commander, "accepted_commands": gate.accepted,
-                  "rejected_commands": gate.rejected, "command_timeouts": gate.timeouts,
-                  "last_rejection": gate.last_rejection, "simulated_seconds": f"{now:.3f}",
-                  "outputs": " ".join(f"{v:g}" for v in gate.outputs(now)),
+        values = {**gate.diagnostics(now), "simulated_seconds": f"{now:.3f}",
                   **{f"{kind}_rate": f"{(count - counts[kind]) / elapsed:.1f}"
                      for kind, count in self._counts.items()}}
         level = DiagnosticStatus.WARN if gate.rejected else DiagnosticStatus.OK

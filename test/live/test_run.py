@@ -170,11 +170,11 @@ def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
         bench.around = around
         assert bench.start() == (False, why)
     other, bench.around = "deflection_controller/state", Surroundings()
-    bench.readiness.other(other, "running: sine")
+    bench.readiness.state(other, "running: sine", bench.now)
     assert bench.start()[1].startswith("warm waits")  # which has died
     bench.around = Surroundings(present={other})
     assert bench.start() == (False, "deflection_controller is running: sine")
-    bench.readiness.other(other, "done: sine")
+    bench.readiness.state(other, "done: sine", bench.now)
 
     def missing():
         raise InputError("p.yaml: no such file")
@@ -192,7 +192,7 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
 
     def recorder_says(state, messages):
         said = {"state": state, "output": "bag", "failure": "", "messages": messages}
-        bench.readiness.recorder(json.dumps(said), bench.now)
+        bench.readiness.state(RECORDER, json.dumps(said), bench.now)
 
     assert bench.start()[1].startswith("no recorder (nothing publishes recorder/state)")
     bench.around = Surroundings(present={RECORDER}, published=lambda: ["/a", "/b", POWER])

@@ -218,6 +218,8 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
     ("simulator", "bench.channels:=[ambient]", "'ambient' cannot name a channel"),
     ("simulator", f"bench.channels:=[{'x' * 300}]", "Invalid topic name"),
     ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
+    ("serial_bridge", "feedback:=[]", "feedback: '', expected power, temperature or both"),
+    ("experiment", "feedback:=[power, heat]", "feedback: 'power, heat', expected power"),
     ("recorder", 'output:="a\\nb"', r"output: 'a\\nb', expected printable text"),
     ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
 ])  # fmt: skip
