@@ -367,7 +367,7 @@ def test_an_aged_wire_in_a_cold_room_and_a_draught_is_not_taken_for_a_blind_came
             fault = bench.read(now, 7.7, 7.7 / aged)
             fault = bench.read(now, kelvin=driven) if k % 4 == 0 and k > 40 else fault
         assert is_said(f"disagreement: a measured at {cut}" * bool(cut), fault)
-    bench = Bench(feedback=["power"])  # warm again before its next reading of power: that is no room
+    bench = Bench(feedback=["power"])  # warm again before it is read: that is no room
     for now in moments(3.0):
         bench.read(now, 0.0, 0.0, room)
     bench.guard.commanded([7.7])
