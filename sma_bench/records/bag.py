@@ -199,10 +199,9 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
         first, last = int(stamps[0]), int(stamps[-1])
         for samples in decoded:
             samples.keep((samples.stamp >= first) & (samples.stamp <= last))
-        apart = {"before": first - int(whole[0]), "after": int(whole[-1]) - last}
-        far = " and ".join(f"up to {ns * 1e-9:.3g} s {way}" for way, ns in apart.items() if ns > 0)
-        lost = len(whole) - len(stamps)
-        text = f"{lost} of {len(whole)} messages are stamped {far} the others (was a clock set "
+        lost, far = len(whole) - len(stamps), max(first - int(whole[0]), int(whole[-1]) - last)
+        away = f"up to {far * 1e-9:.3g} s away from the others"
+        text = f"{lost} of {len(whole)} messages are stamped {away} (was a clock set "
         bag.remark("record", text + "during recording?) and are left out", messages=lost)
 
 

@@ -22,7 +22,7 @@ from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.records import contract
 from sma_bench.records.bag import encode
-from sma_bench.records.record import Record, Signal
+from sma_bench.records.record import SIGNALS, Record, Signal
 from sma_bench.records.storage import METADATA, PROVENANCE
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -229,10 +229,8 @@ def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[
     groups: dict[str, dict[str, Signal]] = {}
     for name, signal in signals.items():
         if (carried := contract.topic_of(name)) is None:
-            raise InputError(
-                f"signal {name}: no topic of the contract carries it, expected <channel>.voltage, "
-                ".current, .temperature, front.range, back.range, "
-                f"{', '.join(sorted(contract.JOINT_OF))}, voltage_command or ambient.temperature")
+            text = f"no topic of the contract carries it, expected {SIGNALS}"
+            raise InputError(f"signal {name}: {text}")
         topic, column = carried
         groups.setdefault(topic, {})[column] = signal
     for topic, columns in groups.items():

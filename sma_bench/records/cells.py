@@ -167,7 +167,7 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
         first = parse_unit(both[2])
         if first is not None and first.quantity in ("length", "force", "power"):
             return text[: both.start()].strip("_ "), both[1]
-    for mark in (" / ", "/", ",", "_", " in ", " "):
+    for mark in (" / ", "/", ",", "_", " in ", " ", "."):
         parted = text.partition(mark) if mark == " / " else text.rpartition(mark)
         name, cut, unit = map(str.strip, parted)
         known = parse_unit(unit) if name else None
@@ -177,15 +177,16 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
             continue
         meant = title_meanings(name)
         is_sign = mark in (" / ", "/", ",") and (mark, unit) != ("/", "F")  # wire/F: a force
-        sure = is_sign or any(fits(m, known.quantity) for m in meant)
-        if sure or (not meant and unit.lower() not in WORDS["no_units"] and mark != " "):
+        sure = is_sign or unit[0] in "°℃" or any(fits(m, known.quantity) for m in meant)
+        if sure or (not meant and unit.lower() not in WORDS["no_units"] and mark not in " ."):
             return name, unit
     unit = found[-1][1].strip() if found else ""
     if found and not PATTERNS.description.match(unit) and not text.startswith(("(", "[")):
         if parse_unit((outside := split_title(text[: found[-1].start()]))[1]):
             return outside  # Temp, °F (LGR S/N: 10338)
         return text[: found[-1].start()].rstrip(" ,_/"), unit
-    return text, ""
+    known = parse_unit(text) if len(text) > 3 else None
+    return text, text if known and known.quantity == "time" else ""  # millis, seconds
 
 
 _MISSING = frozenset(WORDS["missing"])
@@ -342,7 +343,7 @@ def moment_of(cell: Any) -> Moment | None:
     found = PATTERNS.moment.match(cell.strip()) if is_text else None
     if found is None or not found[0]:
         return None
-    written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
+    passed, written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
     orders: list[tuple[str, Any, str]] = []
     year, days = f"20{c}"[-4:] if written else "", [math.nan, math.nan]
     if written and a.isdigit() != b.isdigit():  # the month is a name
@@ -362,6 +363,7 @@ def moment_of(cell: Any) -> Moment | None:
     hours = int(h) % 12 + 12 * (half[0] in "pP") if half else int(h)
     is_short = not s and not written and not half  # hh:mm or mm:ss, with a fraction mm:ss.s
     total = (hours * 60.0 + int(m)) * (1.0 if is_short else 60.0) + float(f"{s or 0}.{broken or 0}")
+    total += _DAY * int(passed or 0)
     if zone and zone[0] in "+-":
         total -= float(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
     return Moment(both, total, 3 if not is_short else 1 if broken else 2, bool(half))

@@ -101,27 +101,27 @@ def outliers(signal: Signal) -> IntArray:
     pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
     if values.ndim != 1 or len(values) < FEWEST or pulses or not np.isfinite(values).all():
         return none
-    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
-    apart = np.abs(values[2:] - values[:-2])
-    low, high = np.quantile(values, [0.01, 0.99])
-    least = max(_OUT_OF_RANGE * float(high - low), _FEW_STEPS * _resolution(values))
-    least = max(_OUTLYING * float(np.median(off)) / 0.6745, least)
-    found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
-    found = found if len(found) <= _MOST_OUTLIERS else none
-    if kind_of(signal.name) not in DROPS_OUT:
-        return found
-    # Dropouts: one value repeated, far from the readings before and after it, which agree.
+    # Stretches of one value, far from the readings before and after them, which agree.
     begins = np.append(0, np.flatnonzero(np.diff(values)) + 1)
     ends = np.append(begins[1:], len(values))  # the first reading after each
-    inside = (begins > 0) & (ends < len(values)) & (ends - begins > 1)
+    inside = (begins > 0) & (ends < len(values))
     begins, ends = begins[inside], ends[inside]
-    level, before, after = values[begins], values[begins - 1], values[ends % len(values)]
+    level, before, after = values[begins], values[begins - 1], values[ends]
     jump = np.minimum(np.abs(level - before), np.abs(level - after))
-    least = max(_DROP * float(np.ptp(values)), least)
-    out = (jump > least) & (np.abs(after - before) < 0.25 * jump)
-    spans = [np.arange(b, e) for b, e in zip(begins[out], ends[out], strict=True)]
-    dropped = np.concatenate([none, *spans])
-    return np.union1d(found, dropped) if len(dropped) < _MOST_DROPPED * len(values) else found
+    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    span = float(np.subtract(*np.quantile(values, [0.99, 0.01])))
+    least = max(_OUT_OF_RANGE * span, _FEW_STEPS * _resolution(values))
+    least = max(_OUTLYING * float(np.median(off)) / 0.6745, least)
+    far = (jump > least) & (np.abs(after - before) < 0.25 * jump) & (least > 0.0)
+    found = far & (ends - begins == 1)
+    found &= np.sum(found) <= _MOST_OUTLIERS
+    if kind_of(signal.name) in DROPS_OUT:  # one value again and again, as a sensor's code
+        codes = [v for v in (values.min(), values.max()) if np.sum(level == v) > 2]
+        again = (ends - begins > 1) | np.isin(level, codes)
+        again &= far & (jump > _DROP * float(np.ptp(values)))
+        found |= again & (np.sum((ends - begins)[again]) < _MOST_DROPPED * len(values))
+    pairs = zip(begins[found], ends[found], strict=True)
+    return np.concatenate([none, *(np.arange(begin, end) for begin, end in pairs)])
 
 
 def _resolution(values: Array) -> float:

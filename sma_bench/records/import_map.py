@@ -31,6 +31,7 @@ _FORMS = {"voltage": ("rms", "mean", "duty", "power"), "current": ("rms", "mean"
 _DIRECT = ("rms", "power")  # forms that need no supply voltage
 _CLEAR = 3.0  # motion one way over the other way, from which heat decides its sign
 _AT_REST = 0.1  # of the whole motion: a larger scatter before the first drive is no rest
+_DOUBTFUL = {*WORDS["doubtful"], *WORDS["supplies"]}  # devices whose readings may be the wire's
 _UNKNOWN = "title and unit not known"
 _MOST = 1e9  # largest number in a map, in its unit
 _Number = Annotated[float, msgspec.Meta(ge=-_MOST, le=_MOST)]
@@ -271,6 +272,8 @@ def propose(table: TableFile, bench: Parameters,
                for c in table.columns]
     proposal = _Proposal(bench)
     ask, remarks = proposal.ask, proposal.remarks
+    proposal.of_wire = {m for c in columns if {*cells.words_of(c.title)} & {*WORDS["wire"]}
+                        for m in cells.meanings(c.title, c.unit)[:1]}
     meant = {column.name: proposal.meaning(column) for column in columns}
     # Power drives only if the bench says so: volts and amperes show the resistance, watts do not.
     drive = bench["bench.drive"]
@@ -293,13 +296,21 @@ def propose(table: TableFile, bench: Parameters,
     if ROWS in ticking:
         titles = [f"{name} ({why})" for t in table.tables for name, why in t.ignored.items()]
         titles += [column.name for column in columns]
-        time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(titles[:12]))
+        periods = {*_stated(table, "period"), *(1.0 / hz for hz in _stated(table, "rate"))}
+        is_each = all(np.all(np.diff(c.values) == 1.0) for c in columns
+                      if remarks.get(c.name) == QUANTITIES["counter"]["unused"])
+        time[ROWS] = (f"{periods.pop():.9g} s" if len(periods) == 1 and is_each else
+                      ask(ROWS, "no_clock", titles=", ".join(titles[:12])))
+        remarks.setdefault(ROWS, f"period of the rows as stated above the titles: {time[ROWS]}")
     if len({c.start is None for c in clocks if c.name in ticking}) > 1:
         ask("time", "dates")
     supply, lever, volts = None, None, "bench.supply_voltage"
     ohms = ohms_of_source(bench) if any(entry.form == "power" for entry in found) else None
     if any(entry.kind == "voltage" and entry.form not in _DIRECT for entry in found):
-        supply = bench[volts] if volts in bench.given else ask("supply_voltage", "which_supply")
+        known = _stated(table, "supply") | ({bench[volts]: volts} if volts in bench.given else {})
+        said = " or ".join(f"{volt:g} V ({line})" for volt, line in known.items())
+        is_sure = volts in bench.given and len(known) == 1
+        supply = bench[volts] if is_sure else ask("supply_voltage", "which_supply", said=said)
     if any(entry.measured.quantity == "angle" for entry in found):
         lever = bench["load.lever"] or ask("lever", "which_lever")
     # What is missing. A clamped wire needs no motion, but temperature, or voltage and current.
@@ -318,6 +329,13 @@ def propose(table: TableFile, bench: Parameters,
         read = _read(table, made)[0]
     signed = [msgspec.structs.replace(e, **proposal.sign_and_zero(e, read)) for e in found]
     return msgspec.structs.replace(made, signals=tuple(signed)), proposal.questions, remarks
+
+
+def _stated(file: TableFile, name: str) -> dict[float, str]:
+    """Values that lines above the titles state for a number of `of_rows`, with these lines."""
+    from sma_bench.records.instrument_files import Sheet
+    found = (Sheet(file, table, {}).statements(name) for table in file.tables)
+    return {value: line for lines in found for value, line in lines.items()}
 
 
 def _count_alike(one: Column, other: Column) -> bool:
@@ -343,6 +361,7 @@ class _Proposal:
     bench: Parameters
     questions: list[str] = field(default_factory=list)
     remarks: dict[str, str] = field(default_factory=dict)  # by column, or by key of the map
+    of_wire: set[str] = field(default_factory=set)  # meanings of columns whose titles name a wire
 
     def ask(self, where: str, key: str, **values: Any) -> Any:
         """Add a question; returns what stands in the map until it is answered."""
@@ -372,20 +391,20 @@ class _Proposal:
         found = next(filter(None, (cells.meanings(t, column.unit) for t in texts)), meant)
         named, words = found[0] if found else "", set(cells.words_of(title))
         words |= {PATTERNS.compound.sub("", word) for word in words}
+        named = named or "counter" * bool(np.all(np.diff(column.values) == 1.0))
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
         is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))
         sensors = {w for w in words if named in _DRIVES and PATTERNS.transducer.match(w)}
-        other = min(words & {*WORDS["devices"], *WORDS["doubtful"]} or sensors, default="")
+        other = min(words & {*WORDS["devices"], *_DOUBTFUL} or sensors, default="")
         other = other if named in (*_DRIVES, "duty", "power", "temperature") else ""
         if not (meant or unused or is_wire or other or named == "time"):
             self.ask(name, "is_it", named=named)
         if other and not unused:  # `IR camera [C]` may be of the wire, unlike `camera temperature`
-            if meant and other in WORDS["devices"] and not is_wire:
+            is_known = other in WORDS["devices"] or named in self.of_wire
+            if meant and is_known and not is_wire:
                 unused = f"of another device ({other}), not a wire"
             elif (named, other) != ("temperature", "sensor"):
                 self.ask(name, "which_device", word=other)
-        if named in _DRIVES and words & set(WORDS["supplies"]):
-            self.ask(name, "which_reading")
         if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?0*([2-9]|1\d)", title):
             self.ask(name, "whose_temperature")
         if unused or not np.isfinite(column.values).any():

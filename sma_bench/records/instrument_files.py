@@ -21,10 +21,11 @@ from sma_bench.records.instruments import DscRecord, DscSegment, IsobaricRecord,
 from sma_bench.records.tables import Account, Column, Table, TableFile
 
 _WINDOW, _SHORTEST = 20.0, 60.0  # s, over which a rate is measured; shortest step
-_STILL = 0.3  # of the slowest ramp: a lower rate is isothermal
+_STILL = 0.3 / 60.0  # K/s: a lower rate is isothermal
 _CONSTANCY = 0.05  # of the stress: largest deviation in an isobaric test
 _LARGEST_MASS, _HOTTEST = 1e-3, 1500.0  # kg, K
 _LARGEST_SPAN = 0.12  # NiTi single crystals recover some 10 %: a larger strain is in percent
+_EXPANSION = 4e-3  # strain: more than metal expands by heat
 _WARMING = 4.0  # times the smallest cycle: at varying stress, a smaller one is self-heating
 _COLDEST = (-150.0, 60.0)  # degC, of a cycle: warmer values may be K or degF
 _LARGEST = {"strain": 0.5, "stress": 3e9}  # of a tensile test, in SI units
@@ -93,7 +94,10 @@ class Sheet:
         return [what for what, names in roles if what not in beside and not self.find(*names)]
 
     def columns(self, kind: str, beside: Sequence[str] = ()) -> dict[str, tuple[Column, str]]:
-        """Columns of a kind of test, each with its role. InputError: one is missing."""
+        """Columns of a kind of test, each with its role. InputError: one or most rows missing."""
+        rows, fewest = len(self.table.lines), instruments.FEWEST_ROWS
+        if kind != "dsc" and rows < fewest:
+            raise self.refusal("few_rows", rows=rows, fewest=fewest)
         for lacked in self.lacks(kind, beside):
             title = f"{lacked.capitalize()} ({QUANTITIES[lacked]['example']})"
             raise self.refusal("no_column", what=lacked, titles=self.titles or "none", title=title)
@@ -114,6 +118,12 @@ class Sheet:
             if other := next(alike, ""):
                 self.remark("warning", what, "or_another", name=column.name, other=other)
         return chosen
+
+    def with_signals(self) -> "Sheet":
+        """The table with the titles of TA's lines `Sig1 ...`, if it has them."""
+        signals = [(PATTERNS.sig.match(line[0]), line) for line in self.table.above if line]
+        named = {int(found[1]): " ".join(line[1:]) for found, line in signals if found}
+        return self.titled([named[k] for k in sorted(named)]) if named else self
 
     def titled(self, names: Sequence[str]) -> "Sheet":
         columns = self.table.columns
@@ -146,7 +156,7 @@ class Sheet:
     def statements(self, name: str) -> dict[float, str]:
         """The values that lines of text state for a number, each with its first line; lines with a
         `worse` word (a room's temperature) count only if there are no others."""
-        row = WORDS["stated"][name] | {"other": WORDS["other_number"]}
+        row = {"other": WORDS["other_number"]} | (WORDS["stated"] | WORDS["of_rows"])[name]
         found = dict[float, str]()
         lines = [*self.table.above, *([text] for _, text in self.table.marks)]
 
@@ -157,16 +167,22 @@ class Sheet:
         for text in (clause.lstrip("#% ") for line in lines for clause in _clauses(line)):
             value = cells.number_with_unit(text, row["quantity"])
             is_other = mentions(text, "never") or mentions(re.split(r"\d", text)[0], "other")
-            if value and mentions(text, "words") and not is_other:
+            is_meant = mentions(text, "words") or re.search(row.get("form", "$^"), text)
+            if value and is_meant and not is_other:
                 found.setdefault(value, text)
         return {v: t for v, t in found.items() if not mentions(t, "worse")} or found
 
     def section(self) -> float | None:
-        """Cross-section of the specimen in m2, as stated or from its diameter; None if unknown."""
+        """Cross-section of the specimen in m2, as stated, or of wires of a diameter that share the
+        force; None if unknown."""
         if (area := self.noted("area")) is not None:
             return area
-        diameter = self.noted("diameter")
-        return None if diameter is None else 0.25 * np.pi * diameter**2
+        diameter, lines = self.noted("diameter"), map(" ".join, self.table.above)
+        found = next(filter(None, map(PATTERNS.wires.match, map(plain_title, lines))), None)
+        count = int(found[found.lastindex or 0]) if found else 1
+        if found and diameter is not None:
+            self.remark("warning", "force", "shared", count=f"{count}", line=found[0])
+        return None if diameter is None else 0.25 * np.pi * diameter**2 * count
 
     def account(self, columns: dict[str, tuple[Column, str]], rows: int) -> Account:
         used = {column.name: role for column, role in columns.values()}
@@ -200,10 +216,6 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
         is_complete = np.isfinite([c.values for c in sheet.table.columns]).all(axis=0)
         for row in np.flatnonzero(~is_complete)[:1]:
             raise sheet.refusal("no_number", line=sheet.table.lines[row], name="one of its columns")
-    elif "StartOfData" in above:
-        signals = [(PATTERNS.sig.match(line[0]), line) for line in sheet.table.above]
-        named = {int(found[1]): " ".join(line[1:]) for found, line in signals if found}
-        sheet = sheet.titled([named[k] for k in sorted(named)])
     columns = sheet.columns("dsc")
     time, temperature, flow = (sheet.values(*column) for column in columns.values())
     kept = time >= 0.0  # TA's rows of negative time separate the steps of a method
@@ -239,8 +251,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
                 rate = round(60.0 * float(program[last - 1] - program[first]) / duration, 3) / 60.0
             parts.append((number, rate, slice(first, last)))
     else:
-        ramps = [float(m[1]) / 60.0 for _, text in marks if (m := PATTERNS.ramp.search(text))]
-        parts = _cut(time, temperature, ramps)
+        parts = _cut(time, temperature)
         if not any(rate for _, rate, _ in parts):
             raise sheet.refusal("no_scan")
     series = time, flow, baseline, temperature, program
@@ -252,21 +263,20 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
     lines = [text for text in lines if text.lower().startswith(("exo", "endo"))]
     text = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
     exotherm = next((way for way, words in WORDS["exotherm"].items() if re.search(words, text)), "")
-    names = ("Instrument", "INSTRUMENT", "Instrument Type")
-    default = "PerkinElmer Pyris DSC" if blocks else "DSC"
-    instrument = next((header[name] for name in names if name in header), default)
+    names = [n for n in ("Instrument", "INSTRUMENT", "Instrument Type") if n in header]
+    instrument = header[names[0]] if names else "PerkinElmer Pyris DSC" if blocks else "DSC"
     account, findings = sheet.account(columns, len(time)), tuple(sheet.findings)
     return DscRecord(path, mass, header, segments, findings, instrument, exotherm, account)
 
 
-def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[int, float, slice]]:
-    """Number, rate (K/s) and rows of each step, by the measured rate; `ramps`: stated rates."""
+def _cut(time: Array, temperature: Array) -> list[tuple[int, float, slice]]:
+    """Number, measured rate (K/s) and rows of each step."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     half = max(int(round(0.5 * _WINDOW / period)) if period > 0.0 else 3, 1)
     padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
     spans = [v[2 * half :] - v[: -2 * half] for v in padded]
     rate = spans[1] / np.maximum(spans[0], 1e-9)
-    kind = np.where(np.abs(rate) > _STILL * min(ramps, default=1.0 / 60.0), np.sign(rate), 0)
+    kind = np.where(np.abs(rate) > _STILL, np.sign(rate), 0)
     edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
     parts = list[tuple[int, float, slice]]()
     for first, last in pairwise(edges):
@@ -276,9 +286,6 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
         begin, end = time[first] + 0.5 * _WINDOW, time[last - 1] - 0.5 * _WINDOW
         part = slice(int(np.searchsorted(time, begin)), int(np.searchsorted(time, end)))
         measured = float(np.median(rate[part])) if kind[first] else 0.0
-        nearest = min(ramps, key=lambda ramp: abs(ramp - abs(measured)), default=np.inf)
-        if abs(nearest - abs(measured)) < 0.2 * abs(measured):  # use the stated rate
-            measured = float(np.copysign(nearest, measured))
         parts.append((len(parts) + 1, measured, part))
     return parts
 
@@ -319,9 +326,11 @@ def _differ(one: Column, other: Column) -> bool:
 
 
 def _has_load(sheet: Sheet) -> bool:
-    """True if a stress is stated, by the user, in a line of text or in the name of the sheet."""
-    named = cells.number_with_unit(sheet.table.name, "stress") is not None
-    return named or "stress" in sheet.given or bool(sheet.statements("stress"))
+    """True if a load is stated, by the user, in a line of text or in the name of the sheet."""
+    if cells.number_with_unit(sheet.table.name, "stress") is not None:
+        return True
+    names = ("stress", "force") if sheet.titles else ("stress",)
+    return any(name in sheet.given or sheet.statements(name) for name in names)
 
 
 def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
@@ -329,8 +338,6 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     if not is_isobaric(sheet):
         return None
     path, table, has_load = sheet.file.path, sheet.table, _has_load(sheet)
-    if len(table.lines) < instruments.FEWEST_ROWS:
-        raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
     if not sheet.titles:  # those of the known form, if the values fit its units
         coldest = float(np.nanquantile(table.columns[0].values, 0.05))
         if not _COLDEST[0] < coldest < _COLDEST[1]:
@@ -351,13 +358,16 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
         pulled = replace(pulled, unit=unit)
     temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
     loaded = columns.get("stress")
-    section = sheet.section() if loaded and loaded[1] == "force" else 1.0
+    load = sheet.noted("stress") or cells.number_with_unit(table.name, "stress")
+    is_force = loaded[1] == "force" if loaded else not load
+    section = sheet.section() if is_force else 1.0
+    if section is None and not load:
+        name = loaded[0].name if loaded else "a line above the titles"
+        raise sheet.refusal("no_section", name=name)
     if loaded and section is not None:
         stress = sheet.values(*loaded) / section
-    elif loaded and not has_load:
-        raise sheet.refusal("no_section", name=loaded[0].name)
     else:
-        load = sheet.noted("stress") or cells.number_with_unit(table.name, "stress") or 0.0
+        load = load or (sheet.noted("force") or 0.0) / (section or 1.0)
         stress = np.full(len(strain), load)
     span = float(np.ptp(strain))
     gauge = sheet.noted("gauge_length") if role == "length" else None
@@ -387,6 +397,10 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     if share > 0.02:
         sheet.remark("warning", "stress", "not_isobaric", share=share, level=level_MPa)
     temperature, strain, stress = temperature[held], strain[held], stress[held]
+    is_hot = temperature > np.median(temperature)
+    if strain[is_hot].mean() - strain[~is_hot].mean() > _EXPANSION and not is_relative:
+        sheet.remark("warning", "strain", "contracts", name=pulled.name)
+        strain = -strain
     if is_relative:
         strain = (strain - strain.min()) / np.ptp(strain)
     good, spikes = instruments.without_spikes(temperature)
@@ -411,10 +425,7 @@ def tensile_of(sheet: Sheet) -> TensileRecord | None:
     """The test in a table of strain or extension and stress or force; None if it has a drive."""
     if sheet.lacks("tensile") or sheet.is_driven():
         return None
-    table = sheet.table
-    if len(table.lines) < instruments.FEWEST_ROWS:
-        raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
-    columns = sheet.columns("tensile")
+    table, columns = sheet.table, sheet.columns("tensile")
     pulled, loaded = columns["strain"], columns["stress"]
     strain, stress = sheet.values(*pulled), sheet.values(*loaded)
     # Strain is extension since the first row over gauge length, stress is force over section.

@@ -26,8 +26,8 @@ AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 def open_records(path: str | Path, namespace: str | None = None,
                  stated: Mapping[str, float] | None = None) -> list[AnyRecord]:
     """Read a bag (of the bench in `namespace`) or an instrument's file, each sheet of which may be
-    a record. `stated`: numbers that the file lacks, in SI: `stress`, `mass`, `gauge_length`,
-    `area`, `diameter`, `temperature`. InputError: it is neither, or cannot be read, and why."""
+    a record. `stated`: numbers that the file lacks, in SI: `stress`, `force`, `mass`,
+    `gauge_length`, `area`, `diameter`, `temperature`. InputError: it is neither, and why."""
     path = Path(path)
     if is_bag(path):
         return [read_record(path, namespace)]
@@ -35,8 +35,8 @@ def open_records(path: str | Path, namespace: str | None = None,
     from sma_bench.records import instrument_files as files
     from sma_bench.records.tables import read_table_file
     file = read_table_file(path)
-    sheets = [files.Sheet(file, table, stated or {}) for table in file.tables]
-    found = (files.dsc_of(s) or files.isobaric_of(s) or files.tensile_of(s) for s in sheets)
+    sheets = [files.Sheet(file, table, stated or {}).with_signals() for table in file.tables]
+    found = (files.isobaric_of(s) or files.tensile_of(s) or files.dsc_of(s) for s in sheets)
     if records := list[AnyRecord](filter(None, found)):
         return records
     raise InputError(f"{path}: {_why_no_record(file, stated or {})}")
@@ -73,14 +73,12 @@ def open_record(path: str | Path, namespace: str | None = None,
 
 def _why_no_record(file: "TableFile", stated: Mapping[str, float]) -> str:
     """Why a table is no instrument's record, and what to do."""
-    from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, title_meanings
+    from sma_bench.records.cells import QUANTITIES, WORDS, message, parse_unit, title_meanings
     from sma_bench.records.instrument_files import Sheet
-    sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
+    sheet = Sheet(file, max(file.tables, key=lambda t: len(t.lines)), stated).with_signals()
     if not sheet.titles:
-        return (f"{len(sheet.table.columns)} columns without titles: write titles with units above "
-                "them; for an isobaric test in two columns (temperature in degC, strain), state "
-                "the stress: --state 'stress=200 MPa', or a first line 'Stress: 200 MPa'")
-    kinds, name = WORDS["instruments"], file.path.name
+        return message("no_titles", columns=len(sheet.table.columns))
+    kinds = WORDS["instruments"]
     lacks = {kind: sheet.lacks(kind) for kind in kinds}
     kind = min(lacks, key=lambda one: len(lacks[one]))
     is_named = kind == "isobaric" or any(map(sheet.find, ("heat flow", "strain", "stress")))
@@ -90,12 +88,10 @@ def _why_no_record(file: "TableFile", stated: Mapping[str, float]) -> str:
         for c in sheet.table.columns:
             if c.unit and not parse_unit(c.unit) and what in title_meanings(c.title):
                 return f"unit {c.unit!r} of {c.name} is not known: which is it, as in {example}?"
-        how = f"write its title with a unit, {example}"
-        if kind == "isobaric" and what == "stress":
-            how += ", or state it: --state 'stress=200 MPa', or a line 'Stress: 200 MPa' above it"
-        return f"no {what} column: a {kind} test has {', '.join(kinds[kind])}; {how}"
-    return (f"a table of another logger ({file.format}): write titles with units, or make a record "
-            f"of it: sma-bench import {name} --out {file.path.stem}")
+        how = message("or_stated") if (kind, what) == ("isobaric", "stress") else ""
+        kinds_of = ", ".join(kinds[kind])
+        return message("lacks", what=what, kind=kind, of=kinds_of, example=example) + how
+    return message("other", format=file.format, name=file.path.name, stem=file.path.stem)
 
 
 def describe(record: AnyRecord) -> dict[str, Any]:

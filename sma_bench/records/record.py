@@ -149,7 +149,7 @@ def first_order_lag(values: Array, memory: float, start: float = 0.0) -> Array:
 
 TIME, _COMMAND = "time", "voltage_command"
 _COMMAND_COLUMN = re.compile(rf"{_COMMAND}\.(\d+)\Z")
-_NAMES = ("<channel>.voltage, .current, .temperature, ambient.temperature, front.range, "
+SIGNALS = ("<channel>.voltage, .current, .temperature, ambient.temperature, front.range, "
           "back.range, deflection, elongation, force or voltage_command")
 _COLDEST_MAXIMUM, _FARTHEST = 253.0, 1.0  # K, m: no bench stays colder, or moves farther
 
@@ -172,7 +172,7 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
     for name, given in named.items():
         unit = unit_of(name)
         if unit is None:
-            raise InputError(f"{where}: no signal is called {name!r}, expected {_NAMES}")
+            raise InputError(f"{where}: no signal is called {name!r}, expected {SIGNALS}")
         own = isinstance(given, tuple) and len(given) == 2
         if not own and columns.get(TIME) is None:
             raise InputError(f"{where}: {name} without times, expected {TIME!r} or a pair")
@@ -199,7 +199,7 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
             raise InputError(f"{span}, expected m; divide mm by 1000")
         signals[name] = Signal(name, unit, seconds, numbers)
     if not signals:
-        raise InputError(f"{where}: no signals, expected {_NAMES}")
+        raise InputError(f"{where}: no signals, expected {SIGNALS}")
     return Record(Path(where), 0, signals, findings=tuple(findings))
 
 

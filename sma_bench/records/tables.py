@@ -343,10 +343,13 @@ def _specimen(rows: Sequence[Row]) -> str:
 
 
 def _units(cells: Sequence[str], above: Sequence[str] = ()) -> list[str]:
-    """The cells without brackets if all (below titles all but two) are units, else []."""
+    """The cells without brackets if all (but those of clocks, counters, set values) are units, else
+    []."""
     bare = [text.strip("()[]{} ") for text in cells]
-    is_below = len(above) == len(cells) > 3 and sum(map(bool, map(read.title_meanings, above))) > 1
-    bare[: 2 * is_below] = [t if parse_unit(t) else "" for t in bare[: 2 * is_below]]
+    meant = [*map(read.title_meanings, above)]
+    if len(above) == len(cells) > 3 and sum(map(bool, meant)) > 1:
+        bare = [text if parse_unit(text) or not {*means} & {*WORDS["unitless"]} else ""
+                for text, means in zip(bare, meant, strict=True)]
     are_units = all(parse_unit(text) or text == "-" for text in bare if text)
     return bare if are_units and any(bare) else []
 
@@ -391,8 +394,11 @@ class _Block:
         remarks, units = list[Row](), list[str]()  # rows between titles and numbers
         for back, titles in enumerate(texts):
             is_narrow = sum(map(bool, titles)) < max(2, width / 2)
-            found = _units(titles, above := [*texts, []][back + 1])
+            above, beyond = [*texts, [], []][back + 1 : back + 3]
+            found = _units(titles, above)
             is_remark = is_narrow and (back or not found)
+            if not found and _units(above, beyond):  # Origin's comments, below units
+                is_remark |= sum(map(bool, map(read.title_meanings, beyond))) > width / 2
             if is_remark or found or {*map(str.lower, titles)} <= {*WORDS["statistics"]}:
                 units = found or units
                 remarks = [heads[-1 - back], *remarks] if is_remark else remarks
@@ -450,6 +456,9 @@ class _Block:
         if width > MOST_COLUMNS:
             raise InputError(f"{width} columns, expected at most {MOST_COLUMNS}")
         titles, units, above = self.titles(self.heads, width)
+        # Lines that name channels, as of Graphtec: "CH1", "Wire voltage", "DC", ...
+        names = {str(c[0]): str(c[1]) for _, c in above if len(c) > 2 and cell_kind(c[1]) == "t"}
+        titles = [names.get(t, t) if t and not read.title_meanings(t) else t for t in titles]
         of_labview = {str(cells[0]): list(map(str, cells[1:])) for _, cells in self.heads if cells}
         if titles and _END_OF_HEADER in of_labview:  # one column of times, or one per channel
             x, of_y = titles[0], iter(of_labview.get("Y_Unit_Label", []))
@@ -459,6 +468,9 @@ class _Block:
         # A last line that is cut short, rows without their last cells, damaged rows.
         if not is_sheet and len(body) > 1 and len(body[-1][1]) < width <= len(body[-2][1]):
             left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
+            body = body[:-1]
+        while read.plain_title(str(body[-1][1][0])).strip(":") in WORDS["summaries"]:
+            left_out.append(f"line {body[-1][0]} ({_text(body[-1][1])[:40]})")
             body = body[:-1]
         short = [row for row in body if len(row[1]) != width]
         is_sparse = self.separator and len(titles) >= width and len(short) > _SHORT * len(body)

@@ -66,6 +66,8 @@ SPIKE = settling()
 SPIKE[700] = 999.9
 DROPPED = settling()
 DROPPED[700:712] = 273.15
+CODED = settling()
+CODED[50:1050:50] = 273.15
 LATE = np.interp(CLOCK - 0.25, CLOCK, TRIANGLE)
 CLIPPED = {"wire_voltage": TRIANGLE, "wire_temperature": np.minimum(settling(), 330.0)}
 GROWN = {"wire_voltage": TRIANGLE, "wire_temperature": settling(), "elongation": 1e-5 * settling()}
@@ -100,6 +102,7 @@ WRONG = [
     ("elongation of the wrong sign", "elongation", {"together": 1.0}, GROWN),
     ("single reading", "wire.temperature", {"outliers": 1}, {"wire_temperature": SPIKE}),
     ("camera drops out", "wire.temperature", {"outliers": 12}, {"wire_temperature": DROPPED}),
+    ("code of a fault", "wire.temperature", {"outliers": 20}, {"wire_temperature": CODED}),
     ("dead sensor", "wire.temperature", {"value": 296.0},
      {"wire_voltage": TRIANGLE, "wire_temperature": FLAT}),
     ("dead elongation", "elongation", {"value": 0.0},

@@ -80,6 +80,8 @@ def test_units_are_si_and_the_sign_of_heat_flow_is_found(write):
         assert getattr(heating, name) == pytest.approx(values)
     assert run.specific_heat_flow(heating) == pytest.approx([1900, 2000])
     assert run.endothermic_up is True and run.findings == ()
+    mettler = PYRIS.replace("Sample Weight:\t10.000 mg", "Curve Name:\nNiTi wire, 10.000 mg")
+    assert open_record(write(mettler)).mass == pytest.approx(10e-6)
     # If the method is missing, the program temperature gives the rates.
     run = open_record(write(PYRIS.replace("2)\tCool", "Cool").replace("3)\tHeat", "Heat")))
     assert [s.rate for s in run.segments] == pytest.approx([0, -10 / 60, 20 / 60])

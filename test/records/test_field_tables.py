@@ -156,7 +156,18 @@ def test_a_supplys_own_readings_are_asked_about(tmp_path):
     made, questions, _ = propose(read_table_file(path), Parameters(), {})
     assert {e.column: e.signal for e in made.signals}["PSU_U_RB"] == "wire.voltage"
     for name in ("PSU_U_RB", "PSU_I_RB"):
-        assert f"{name!r}: is it measured at the supply or at the wire?" in questions
+        assert f"{name!r}: of the wire, or of another device (psu)?" in questions
+
+
+@pytest.mark.parametrize(("head", "rig", "period", "question"), CASES["stated"])
+def test_lines_above_the_titles_give_a_period_and_may_contradict_a_supply(
+        head, rig, period, question, tmp_path):
+    path = tmp_path / "lines.csv"
+    rows = (f"{k},{50.0 * (10 < k < 20)},{20 + k / 10}" for k in range(40))
+    path.write_text("\n".join([head, "Sample,Duty (%),Temp (C)", *rows]) + "\n")
+    made, questions, _ = propose(read_table_file(path), Parameters(rig), {})
+    assert made.tick("row number") == pytest.approx(period)
+    assert len(questions) == bool(question) and question in "".join(questions)
 
 
 @pytest.mark.parametrize(("titles", "rig", "signals", "said"), CASES["whose"])

@@ -44,6 +44,7 @@ ROWS = {
                              PERCENT[:, 1:]]),
     "twice": np.column_stack([PERCENT, PERCENT[:, 0], 1.1 * PERCENT[:, 1], PERCENT[:, 2]]),
     "in two units": np.column_stack([PERCENT, PERCENT[:, 0] + 273.15]),
+    "contracting": PERCENT * (1.0, -1.0, 1.0) + (0.0, PERCENT[0, 1], 0.0),
     "to 6": np.column_stack([np.linspace(0, 6, 60), 80 * np.linspace(0, 6, 60)]),
     "pushed": -STRETCHED, "stretched": STRETCHED, "stretched newtons": STRETCHED * (1.0, 0.075),
     "counted": np.column_stack([STRETCHED, np.ones(50)]),
