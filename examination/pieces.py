@@ -8,12 +8,11 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from functools import partial
-from multiprocessing import get_context
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 from scipy.stats import chi2
 
@@ -21,6 +20,7 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 
 PROCESSES, Z_95 = 2, 1.959964
 _PATIENCE = 30.0
+_SAVED_EVERY = 5.0  # s
 IN_PIECES = {
     "processes": (PROCESSES, "at once"),
     "json": (Path, "keep every result in this file as it comes; what is in it is not done again")}
@@ -29,13 +29,14 @@ IN_PIECES = {
 def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
                **own: tuple[Any, str]) -> argparse.Namespace:
     """Parsed options of `./bench check NAME`; `in_pieces` needs IN_PIECES among them. `own`:
-    (default, help) of each; default False: a flag; a list: several values, texts are the only
-    choices; a type: no default; ...: required."""
+    (default, help) of each; default False: a flag; a tuple: several values, texts are the only
+    choices; a type: no default; ...: the first argument; a list: arguments, each one of these."""
     parser = argparse.ArgumentParser(prog=f"./bench check {name}", description=doc)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     for option, (default, text) in own.items():
-        if default is ...:
-            parser.add_argument(option, metavar=option.upper(), help=text)
+        if default is ... or isinstance(default, list):
+            several = {} if default is ... else {"nargs": "*", "choices": default, "default": []}
+            parser.add_argument(option, metavar=option.upper(), help=text, **several)
             continue
         how: dict[str, Any] = {"type": type(default), "default": default}
         if default is False:
@@ -60,18 +61,18 @@ def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
         if not isinstance(kept, dict):
             raise SystemExit(f"{options.json}: holds no results of this check")
     due = [job for job in jobs if str(job) not in kept]
-    begun, call = time.monotonic(), partial(_labelled, run)
-    alone = options.processes == 1 or len(due) == 1
-    # New interpreters: forked ones would inherit numpy's and numba's state without their threads.
-    with nullcontext() if alone else get_context("spawn").Pool(options.processes) as pool:
-        found = map(call, due) if alone else pool.imap_unordered(call, due)
-        for done, (job, result) in enumerate(found, 1):
-            kept[str(job)] = result
+    workers = joblib.Parallel(min(options.processes, len(due)) or 1,
+                              return_as="generator_unordered")
+    begun = stored = time.monotonic()
+    found = workers(joblib.delayed(_labelled)(run, job) for job in due)
+    for done, (job, result) in enumerate(found, 1):
+        kept[str(job)], now = result, time.monotonic()
+        if now - stored > _SAVED_EVERY or done == len(due):
+            stored = now
             if options.json:
                 write_text_atomically(options.json, json.dumps(kept, indent=1) + "\n")
-            left = (time.monotonic() - begun) / done * (len(due) - done)
-            if sys.stderr.isatty() or done % 5 == 0 or done == len(due):
-                print(f"{done}/{len(due)}, {left:.0f} s left", file=sys.stderr, flush=True)
+            left = (now - begun) / done * (len(due) - done)
+            print(f"{done}/{len(due)}, {left:.0f} s left", file=sys.stderr, flush=True)
     return [kept[str(job)] for job in jobs]
 
 
@@ -108,13 +109,6 @@ def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> flo
     return share
 
 
-def in_blocks(run: Callable[..., list], options: argparse.Namespace, n: int, *more: Any) -> list:
-    """Results of `run(seed, first, stop, *more)` for all draws, in blocks of at most twenty."""
-    step = min(20, max(n // 2, 1))
-    jobs = [(options.seed, k, min(k + step, n), *more) for k in range(0, n, step)]
-    return [one for found in in_pieces(run, jobs, options) for one in found]
-
-
 @contextmanager
 def ros_node(name: str, namespace: str, **context: Any) -> Iterator[Any]:
     """A node of rclpy for a `with` block; arguments `context` are those of its own context."""
@@ -145,22 +139,36 @@ def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dic
     return held
 
 
-def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str,
-                   *head: str) -> None:
-    """Print outcomes by habit and kind, for all and for those that tell; wrong: the last two."""
+ROW = "{:44}{:>7}" + "{:>10}" * 5
+
+
+def judged(name: str, doc: str | None, argv: Sequence[str] | None, what: str,
+           judge: Callable[[int, int], dict[str, Any]], outcomes: Sequence[str],
+           habits: dict[str, list]) -> list[dict[str, Any]]:
+    """Judge files that are written with drawn habits: `judge(seed, number)` gives the habits of
+    one, its outcome, why, whether it tells what it means, and maybe its kind. Prints the first
+    wrong ones (the last two outcomes) and outcomes by habit and kind."""
+    options = options_of(name, doc, argv, **{what: (200, "how many")}, seed=(1, "of all"),
+                         **IN_PIECES)
+    numbers = range(getattr(options, what))
+    found = in_pieces(judge, [(options.seed, number) for number in numbers], options)
+    wrong = [(number, one) for number, one in enumerate(found) if one["outcome"] in outcomes[-2:]]
+    for number, one in wrong[:20]:
+        odd = {kind: h for kind, h in one["habits"].items() if h != habits[kind][0]}
+        print(f"{number} {one.get('kind', '')}: {one['why'][-300:]}\n    {odd}")
     kinds = sorted({one["kind"] for one in found if "kind" in one})
-    groups = {**{f"{kind}: {habit}": [o for o in found if o["odd"].get(kind) == habit]
+    groups = {**{f"{kind}: {habit}": [o for o in found if o["habits"].get(kind) == habit]
                  for kind, each in habits.items() for habit in each[1:]},
               **{f"a table of: {kind}": [o for o in found if o["kind"] == kind] for kind in kinds},
               "all": found,
               "that tell what they mean": [one for one in found if one["tells"]],
               "that do not": [one for one in found if not one["tells"]]}
-    print(row.format(*head, *outcomes))
-    for name, group in groups.items():
+    print(ROW.format(f"{name} with", what, *outcomes))
+    for title, group in groups.items():
         if ends := [one["outcome"] for one in group]:
-            print(row.format(name, len(ends), *map(ends.count, outcomes)))
-    wrong = sum(one["outcome"] in outcomes[-2:] for one in found)
-    print(f"silently wrong {wrong} of {len(found)} ({wrong / len(found):.1%})")
+            print(ROW.format(title, len(ends), *map(ends.count, outcomes)))
+    print(f"silently wrong {len(wrong)} of {len(found)} ({len(wrong) / len(found):.1%})")
+    return found
 
 
 # --- Limits of memory and time for a piece of a campaign.

@@ -382,34 +382,19 @@ def _fault(bag: Bag, number: int, true: Array, time: Array, values: Array) -> st
     return ""
 
 
-ROW = "{:44}{:>6}" + "{:>10}" * len(OUTCOMES)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw, read, compare; 0 if nothing was silently wrong, 1 if something was."""
-    options = pieces.options_of("bags", __doc__, argv, bags=(200, "how many"), seed=(1, "of all"),
-                         **pieces.IN_PIECES)
-    found = pieces.in_blocks(try_bags, options, options.bags)
-    wrong = [one for one in found if one["outcome"] in (WRONG, RAISED)]
-    for one in wrong[:20]:
-        print(f"{one['number']}: {one['why'][-300:]}\n    {one['odd']}")
-    pieces.print_outcomes(found, OUTCOMES, HABITS, ROW, "bags with", "bags")
+    found = pieces.judged("bags", __doc__, argv, "bags", try_bag, OUTCOMES, HABITS)
     if telling := [one["outcome"] for one in found if one["tells"]]:
         read = sum(end in (RIGHT, LOSS) for end in telling)
         print(f"read of the complete and unambiguous bags: {read / len(telling):.1%}")
-    return 1 if wrong else 0
+    return int(any(one["outcome"] in (WRONG, RAISED) for one in found))
 
 
-def try_bags(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Bags `first` to `stop` of a seed: odd habits, whether it tells, outcome and reason."""
-    found = []
-    for number in range(first, stop):
-        rng = np.random.default_rng([50, seed, number])
-        habits = draw_habits(rng)
-        with tempfile.TemporaryDirectory() as folder:
-            bag = write_bag(Path(folder), rng, habits)
-            end, why = outcome(bag)
-        odd = {kind: habit for kind, habit in habits.items() if habit != HABITS[kind][0]}
-        found.append({"number": number, "odd": odd, "tells": bag.tells, "outcome": end,
-                      "why": why.replace(folder, "")})
-    return found
+def try_bag(seed: int, number: int) -> dict[str, Any]:
+    rng = np.random.default_rng([50, seed, number])
+    habits = draw_habits(rng)
+    with tempfile.TemporaryDirectory() as folder:
+        bag = write_bag(Path(folder), rng, habits)
+        end, why = outcome(bag)
+    return {"habits": habits, "tells": bag.tells, "outcome": end, "why": why.replace(folder, "")}

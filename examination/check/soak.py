@@ -14,7 +14,6 @@ firmware   safety.c and session.c compiled for this computer (test/firmware/host
     ./bench check soak [--hours 1000] [--json soak.json]
 """
 
-import contextlib
 import functools
 import math
 import re
@@ -43,7 +42,7 @@ from sma_bench.hardware.serial_link import LinkStatus
 from sma_bench.hardware.serial_messages import CAUSES, DeviceIdentity, Telemetry
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE, SIMULATOR
-from sma_bench.physics import Bench
+from sma_bench.physics import Bench, Simulation
 
 ROOT, HOUR = Path(__file__).resolve().parents[2], 3600.0
 GRID, COMMANDS = 0.01, 0.02  # s, of the physics and between commands
@@ -111,14 +110,6 @@ def draw_world(rng: np.random.Generator) -> World:
                  tuple(uniform(-1.0, 1.0, 5) * (0.01, 0.02, 0.02, 0.05, 2.0)))  # fmt: skip
 
 
-def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tuple[float, float]]:
-    """For each `GUST` s: factor of the heat loss, warming of the room in K."""
-    for k in range(math.ceil(seconds / GUST)):
-        calm = rng.random() < 0.4
-        share = 0.02 * rng.random() if calm else min(rng.exponential(0.3), world.draught)
-        yield 1.0 + min(share, world.draught), SWING * math.sin(2.0 * math.pi * k * GUST / HOUR)
-
-
 def programme(rng: np.random.Generator, most: float) -> Array:
     """(N,) V, one per command: 0 V for a second; then rest, hold, staircase, triangle or pulses."""
     at, level, shape = np.arange(N), most * rng.random() ** 0.5, rng.integers(5)
@@ -164,22 +155,36 @@ def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
     return silent.tolist()
 
 
+def driven(rng: np.random.Generator, world: World, stated: Parameters, seconds: float,
+           regulated: bool) -> Iterator[tuple[float, Array, Array, Simulation]]:
+    """For each draught: its start [s], the commands (N, w) V, the supply's share at each (N,), and
+    what the bench does; a `regulated` drive makes up for its supply."""
+    limits = Limits.from_parameters(stated)
+    own, most = limits.resistance * max(world.age), world.highest(limits)
+    bench = Bench(world.parameters(stated, 1.0, 0.0))
+    for k in range(math.ceil(seconds / GUST)):
+        calm = rng.random() < 0.4
+        share = 0.02 * rng.random() if calm else min(rng.exponential(0.3), world.draught)
+        warmer = SWING * math.sin(2.0 * math.pi * k * GUST / HOUR)
+        commands = np.column_stack([programme(rng, most) for _ in stated["bench.channels"]])
+        supply = dips(rng, world)
+        volts = commands if regulated else commands * (supply * own / (own + world.sag))[:, None]
+        held = np.repeat(volts, 2, axis=0)
+        now = world.parameters(stated, 1.0 + min(share, world.draught), warmer)
+        bench = Bench(now, initial=bench.state)
+        yield GUST * k, commands, supply, bench.follow(CLOCK, np.vstack([held, held[-1:]]))
+
+
 def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """Cuts of a faultless wire by the rules of a commanding node."""
     rng, stated = np.random.default_rng([1, seed]), STATED["a wire"]
     limits = Limits.from_parameters(stated)
     chain, power_every, kelvin_every = instruments(rng, world, seed)
     volt_gain, ampere_gain, kelvin_gain = (1.0 + error for error in world.errors[:3])
-    bench, cuts, begun, arrived = Bench(world.parameters(stated, 1.0, 0.0)), [], 0.0, [0.0]
+    cuts, arrived = [], [0.0]
     heard = 1.0  # s, after which a new guard has all its readings
     guard = world.guard(["wire"])
-    for loss, warmer in gusts(rng, world, seconds):
-        commands = programme(rng, world.highest(limits))
-        # The bench with its sagging supply, and its sensors.
-        own = limits.resistance * max(world.age)
-        true = np.repeat(commands * dips(rng, world) * own / (own + world.sag), 2)
-        bench = Bench(world.parameters(stated, loss, warmer), initial=bench.state)
-        made = bench.follow(CLOCK, np.append(true, true[-1]))
+    for begun, commands, _, made in driven(rng, world, stated, seconds, regulated=False):
         # The latest reading of a sensor when the next command comes.
         read = slice(power_every - 1, -1, power_every)
         volts = chain["voltage"].read_all(made.voltage[read, 0] * volt_gain)
@@ -191,7 +196,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
             + world.errors[4] - CELSIUS_ZERO) + CELSIUS_ZERO
         silent = silences(rng, world, len(kelvins))
         powers = list(zip(volts.tolist(), amperes.tolist(), strict=True))
-        temperatures, asked = kelvins.tolist(), commands.tolist()
+        temperatures, asked = kelvins.tolist(), commands[:, 0].tolist()
         late = begun + CLOCK + rng.uniform(0.0, 0.04, TICKS + 1)
         late[0] = arrived[-1]
         arrived = np.maximum.accumulate(late).tolist()
@@ -209,7 +214,6 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
                 cuts.append((stamp, reason))
                 guard, heard = world.guard(["wire"]), begun + GUST + 1.0
                 break
-        begun += GUST
     return cuts
 
 
@@ -232,16 +236,11 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     rng, stated = np.random.default_rng([2, seed]), STATED["four wires"]
     driver, guard, limits = driver_of(world)
     chain, power_every, kelvin_every = instruments(rng, world, seed)
-    channels = stated["bench.channels"]
-    bench, cuts, begun = Bench(world.parameters(stated, 1.0, 0.0)), [], 0.0
-    own, most = limits.resistance * max(world.age), world.highest(limits)
-    for loss, warmer in gusts(rng, world, seconds):
-        commands = np.column_stack([programme(rng, most) for _ in channels])
-        # The device follows its supply; the pulses of a board load it.
-        bench = Bench(world.parameters(stated, loss, warmer), initial=bench.state)
-        held = np.repeat(commands, 2, axis=0)
-        made = bench.follow(CLOCK, np.vstack([held, held[-1:]]))
-        supply = np.repeat(12.0 * dips(rng, world), 2)
+    channels, cuts = stated["bench.channels"], []
+    own = limits.resistance * max(world.age)
+    for begun, commands, share, made in driven(rng, world, stated, seconds, regulated=True):
+        # The pulses of a board load its supply.
+        held, supply = np.repeat(commands, 2, axis=0), np.repeat(12.0 * share, 2)
         ohms = own * (1.0 + world.austenite * (1.0 - made.martensite_fraction[1:]))
         pairs = held.reshape(-1, 2, 2) > 0.0
         drop = supply[:, None] * world.sag * (pairs / ohms.reshape(-1, 2, 2)).sum(axis=2)
@@ -282,7 +281,6 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
                 cuts.append((stamp, reason))
                 driver, guard, limits = driver_of(world)
                 break
-        begun += GUST
     return cuts
 
 
@@ -312,16 +310,12 @@ PLAYS = {"a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
          "firmware": hour_of_the_firmware}
 
 
-def some_played(kind: str, seed: int, first: int, stop: int) -> list[dict]:
-    """Random hours: the cuts of each, and its run time."""
-    found = []
-    for number in range(10_000 * seed + first, 10_000 * seed + stop):
-        started = time.monotonic()
-        world = draw_world(np.random.default_rng([list(PLAYS).index(kind), number]))
-        cuts = PLAYS[kind](world, number)
-        took = time.monotonic() - started
-        found.append({"kind": kind, "seed": number, "cuts": cuts, "took": took})
-    return found
+def played(kind: str, number: int) -> dict[str, Any]:
+    """A random hour: its cuts and its run time."""
+    started = time.monotonic()
+    world = draw_world(np.random.default_rng([list(PLAYS).index(kind), number]))
+    cuts = PLAYS[kind](world, number)
+    return {"kind": kind, "seed": number, "cuts": cuts, "took": time.monotonic() - started}
 
 
 def report(found: Sequence[dict[str, Any]]) -> int:
@@ -350,11 +344,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("soak", __doc__, argv, seed=(1, "of all"),
                          hours=(1000, "of host and of firmware, each"), **IN_PIECES)
     driven = options.hours // EVERY_DRIVEN
-    sizes = {"a wire": (options.hours - driven, 10), "four wires": (driven, 2),
-             "firmware": (options.hours, 10)}  # hours, and hours per job
-    jobs = [(kind, options.seed, first, min(first + step, count))
-            for kind, (count, step) in sizes.items() for first in range(0, count, step)]
-    with contextlib.suppress(KeyboardInterrupt):
-        found = [one for some in in_pieces(some_played, jobs, options) for one in some]
-        return 1 if report(found) else 0
-    return 130
+    hours = {"a wire": options.hours - driven, "four wires": driven, "firmware": options.hours}
+    jobs = [(kind, 10_000 * options.seed + k) for kind, n in hours.items() for k in range(n)]
+    return 1 if report(in_pieces(played, jobs, options)) else 0

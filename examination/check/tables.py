@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 import sma_bench
-from examination.pieces import IN_PIECES, in_blocks, options_of, print_outcomes
+from examination.pieces import judged
 from examination.tables import dialects
 from examination.tables.dialects import HABITS, Sample, Truth, Written
 from sma_bench.cli import main as run
@@ -152,18 +152,9 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
     return (WRONG, f"{away} rows of {read} are none of the file's") if away else (RIGHT, "")
 
 
-ROW = "{:32}{:>7}" + "{:>9}" * len(OUTCOMES)
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     """Write, import, compare; 0 if nothing was silently wrong, 1 if something was."""
-    options = options_of("tables", __doc__, argv, imports=(200, "how many"), seed=(1, "of all"),
-                         faults=(0, "show so many wrong ones"), **IN_PIECES)
-    found = in_blocks(imported, options, options.imports)
-    wrong = [one for one in found if one["outcome"] in (WRONG, RAISED)]
-    for one in wrong[: options.faults]:
-        print(f"{one['number']} {one['kind']}: {one['why']}\n    {one['odd']}")
-    print_outcomes(found, OUTCOMES, HABITS, ROW, "written with", "files")
+    found = judged("tables", __doc__, argv, "imports", imported, OUTCOMES, HABITS)
     telling, others = ([o["outcome"] for o in found if o["tells"] is t] for t in (True, False))
     if telling:
         read = telling.count(RIGHT) / len(telling)
@@ -172,20 +163,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         stopped = sum(end in (ASKED, REFUSED) for end in others) / len(others)
         guessed = others.count(RIGHT) / len(others)
         print(f"of those that do not, asked or refused {stopped:.1%}, guessed right {guessed:.1%}")
-    return 1 if wrong else 0
+    return int(any(one["outcome"] in (WRONG, RAISED) for one in found))
 
 
-def imported(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Imports `first` to `stop` of a seed: odd habits of the dialect, outcome and reason."""
-    found = []
-    for number in range(first, stop):
-        truth = dialects.true_table(number % dialects.TABLES, seed)
-        rng = np.random.default_rng([41, seed, number])
-        habits = dialects.draw_habits(truth, rng)
-        with tempfile.TemporaryDirectory() as folder:
-            sample = dialects.write(truth, habits, Path(folder), rng)
-            end, why = outcome(truth, sample)
-        odd = {f: h for f, h in habits.items() if h != HABITS[f][0]}
-        found.append({"number": number, "kind": truth.kind, "odd": odd, "tells": sample.tells,
-                      "outcome": end, "why": why.replace(folder, "")})
-    return found
+def imported(seed: int, number: int) -> dict[str, Any]:
+    """Write and import a table."""
+    truth = dialects.true_table(number % dialects.TABLES, seed)
+    rng = np.random.default_rng([41, seed, number])
+    habits = dialects.draw_habits(truth, rng)
+    with tempfile.TemporaryDirectory() as folder:
+        sample = dialects.write(truth, habits, Path(folder), rng)
+        end, why = outcome(truth, sample)
+    return {"kind": truth.kind, "habits": habits, "tells": sample.tells, "outcome": end,
+            "why": why.replace(folder, "")}

@@ -1,13 +1,12 @@
 """Speed of the package, compared with alternatives: `./bench perf [SECTION ...]`."""
 
-import argparse
 import json
 import sys
 import time
 from importlib import import_module
 from pathlib import Path
 
-from examination.pieces import print_table
+from examination.pieces import options_of, print_table
 
 # Function that yields the figures of each section, by module, and a description.
 SECTIONS = {
@@ -22,20 +21,16 @@ SECTIONS = {
 def main(argv: list[str]) -> int:
     """Measure the sections, print a table of each, write the values to `--json FILE`."""
     lines = "\n".join(f"  {name:14} {text}" for name, (_, text) in SECTIONS.items())
-    parser = argparse.ArgumentParser(prog="bench perf", description=f"{__doc__}\n\n{lines}")
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("sections", nargs="*", metavar="SECTION", help="these only")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures to FILE")
-    parser.add_argument("--tiny", action="store_true", help="on tiny sizes: does it run?")
-    arguments = parser.parse_args(argv)
-    if unknown := [name for name in arguments.sections if name not in SECTIONS]:
-        parser.error(f"no section {unknown[0]}, expected one of {', '.join(SECTIONS)}")
+    options = options_of("perf", f"{__doc__}\n\n{lines}", argv,
+                         sections=(list(SECTIONS), "these only"),
+                         json=(Path, "write the figures to this file"),
+                         tiny=(False, "on tiny sizes: does it run?"))
     found: dict[str, dict[str, dict[str, float]]] = {}
-    for name in arguments.sections or SECTIONS:
+    for name in options.sections or SECTIONS:
         begin, figures, missing = time.monotonic(), [], ""
         try:
             module = import_module(f"examination.perf.{SECTIONS[name][0]}")
-            figures.extend(getattr(module, name)(arguments.tiny))
+            figures.extend(getattr(module, name)(options.tiny))
         except (ImportError, RuntimeError, OSError) as error:  # continue with the others
             missing = f"not measured: {type(error).__name__}: {error}\n"
         rows = [(f.case, f.measure, f"{f.value:.3g}", f.unit, f.aim, f.verdict) for f in figures]
@@ -45,8 +40,8 @@ def main(argv: list[str]) -> int:
         cases = found[name] = {}
         for figure in figures:
             cases.setdefault(figure.case, {})[figure.measure] = float(figure.value)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if options.json:
+        options.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
 
 
