@@ -9,8 +9,10 @@ was lost; and the new one if the power lasted for 40 ms. Three minutes.
     ./bench check power_cuts [--cuts 1000] [--seed 1] [--json FILE]
 """
 
+import functools
 import random
 import sys
+import tempfile
 from collections import namedtuple
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
@@ -22,8 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 from uno import emulated_uno
 from virtual_host import VirtualHost
 
-from examination.check.soak import built
-from examination.pieces import IN_PIECES, in_blocks, options_of, print_table
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.hardware.serial_messages import CAUSES, line
 
 KEPT_WITHIN = 0.04  # s to write a reason: nine bytes of 3.4 ms
@@ -31,6 +32,7 @@ STARTED = 0.15  # s after a start, when it can be armed
 WRONG_TIME = 0.3  # s: a larger error of the reported time of a trip counts as wrong
 LOST = CAUSES.index("reason lost with the power")
 RESTARTED = CAUSES.index("restarted while armed")
+CHAIN = 20  # cuts
 TIMSK0, TIMSK1, ADCSRA = 0x6E, 0x6F, 0x7A
 OUTCOMES = ("before", "now", "lost", "WRONG")
 WAYS = ("while it works", "at a trip", "at what acknowledges it", "behind a reset at a trip")
@@ -168,9 +170,17 @@ class CutUno:
                 "told": "" if outcome != OUTCOMES[-1] else f"{before} {now} {said}"}  # fmt: skip
 
 
+@functools.cache
+def built() -> tuple[Any, Path, Path]:
+    """Emulator and firmware, built once per process, and their folder."""
+    folder = tempfile.TemporaryDirectory(prefix="power_cuts_")
+    build = emulated_uno.build_emulator, emulated_uno.build_firmware
+    return folder, *(make(Path(folder.name)) for make in build)
+
+
 def cuts(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
     """The outcomes of a chain of cuts."""
-    uno = emulated_uno.EmulatedUno(*built("uno"), seed=seed + first)
+    uno = emulated_uno.EmulatedUno(*built()[1:], seed=seed + first)
     chain = CutUno(uno, random.Random(f"{seed} {first}"))
     return [chain.cut() for _ in range(first, stop)]
 
@@ -182,7 +192,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if missing := emulated_uno.missing_tools():
         print(f"check power_cuts: {missing}", file=sys.stderr)
         return 2
-    found = in_blocks(cuts, options, options.cuts)
+    chains = [(options.seed, first, min(first + CHAIN, options.cuts))
+              for first in range(0, options.cuts, CHAIN)]
+    found = [one for chain in in_pieces(cuts, chains, options) for one in chain]
     rows = []
     for group in (*WAYS, *TRIPS, "all"):
         own = [one for one in found if group in (one["way"], one["kind"], "all")]

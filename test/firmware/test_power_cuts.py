@@ -1,14 +1,12 @@
 """A small `./bench check power_cuts`: the real image, with power cuts at random instants."""
 
-import random
 from collections import Counter
 
-from examination.check.power_cuts import LOST, CutUno, Report, verdict
+from examination.check.power_cuts import LOST, Report, cuts, verdict
 
 
-def test_no_power_cut_makes_the_stored_reason_wrong(uno):
-    chain = CutUno(uno, random.Random(7))
-    found = [chain.cut() for _ in range(30)]
+def test_no_power_cut_makes_the_stored_reason_wrong(emulator):
+    found = cuts(7, 0, 30)
     assert [one["told"] for one in found if one["told"]] == []
     outcomes = Counter(one["outcome"] for one in found)
     assert outcomes["before"] > 3 and outcomes["now"] > 5 and outcomes["lost"] > 0
