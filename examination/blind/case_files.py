@@ -149,7 +149,7 @@ def _clauses(answer: Answer) -> Iterator[tuple[str, bool]]:
 
 
 # --- A set of cases as the examination sees it: folders and names, and labels that stay sealed.
-MANIFEST, CASES, LABELS, ANSWERS = "manifest.json", "cases", "labels.sealed", "answers"
+MANIFEST, CASES, LABELS = "manifest.json", "cases", "labels.sealed"
 _CASE_NAME = re.compile(r"[0-9A-Za-z_]+\Z")
 
 
@@ -169,7 +169,7 @@ class CaseSet:
 
     @property
     def answers(self) -> Path:
-        return self.root / ANSWERS
+        return self.root / "answers" / "diagnosis"
 
 
 def read_case_set(root: str | Path) -> CaseSet:
@@ -213,29 +213,17 @@ def unseal(path: Path, sha256: str) -> list[dict[str, Any]]:
         return list(json.loads(zlib.decompress(content[len(_HEAD) :])))
 
 
-# --- The folder of one examinee's answers: one folder a case, and who gave them to which set.
+# --- The folder of answers: one folder a case.
 #
-#     examination.json            program, time limit, sha256 of the set's sealed labels
 #     0001/answer.json            {"case", "line", "seconds", "result"}: written last
 #     0001/improved.yaml          parameters that include the cause
 #     after_1/0001/               the same after the suggested experiment; at most three
-ANSWER, IMPROVED, EXAMINATION = "answer.json", "improved.yaml", "examination.json"
+ANSWER, IMPROVED = "answer.json", "improved.yaml"
 FOLLOW_UPS = ("after_1", "after_2", "after_3")
 
 
 # One answer as it was given; `answer` is None where `line` says why it failed.
 Kept = namedtuple("Kept", "case answer line seconds improved")
-
-
-@dataclass(frozen=True)
-class Examination:
-    """Who was examined on what: `name` in tables, `program`, a command line that takes the
-    arguments of `sma-bench diagnose`, s for one case, sha256 of the labels of the set."""
-
-    name: str
-    program: tuple[str, ...]
-    time_limit: float
-    sealed: str
 
 
 def keep(folder: Path, case: str, result: Any, line: str, seconds: float,
@@ -267,23 +255,3 @@ def read_kept(folder: Path, case: str) -> Kept:
 def answers_of(folder: Path, case: str) -> list[Kept]:
     places = [folder, *(folder / name for name in FOLLOW_UPS)]
     return [read_kept(place, case) for place in places if is_kept(place, case)]
-
-
-def write_examination(folder: Path, examination: Examination) -> None:
-    """Begin a folder of answers, or continue it; raises InputError where it holds answers to
-    another set or of another program."""
-    if (folder / EXAMINATION).is_file():
-        there = read_examination(folder)
-        if there.sealed != examination.sealed:
-            raise InputError(f"{folder}: holds answers to another set of cases")
-        # The interpreter may lie elsewhere by now.
-        if (there.name, there.program[1:]) != (examination.name, examination.program[1:]):
-            raise InputError(f"{folder}: holds the answers of {' '.join(there.program)}")
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text_atomically(folder / EXAMINATION, json.dumps(vars(examination), indent=1) + "\n")
-
-
-def read_examination(folder: Path) -> Examination:
-    """Who gave the answers of a folder; raises InputError if nobody did, or the file is damaged."""
-    with _read(folder / EXAMINATION) as held:
-        return Examination(**held | {"program": tuple(held["program"])})

@@ -39,12 +39,12 @@ def blind() -> None:
 
 
 @blind.command("make", help="Make bags with hidden effects, which only a sealed file names.")
-@click.option("--seed", type=int, required=True, help="1000 to 1999, 3000 to 3999: development, "
-              "2000 to 2999: frozen test, others: open")
-@click.option("--n", default=200, show_default=True, help="cases")
+@click.option("--seed", type=click.IntRange(0, 2**31 - 1), required=True,
+              help="1000 to 1999, 3000 to 3999: development, 2000 to 2999: frozen, others: open")
+@click.option("--n", type=click.IntRange(1, 9999), default=200, show_default=True, help="cases")
 @click.option("--out", required=True, metavar="DIR", help="new folder")
 @click.option("--load", type=click.Choice(LOADS), default="beam", help="what the wires pull")
-@click.option("--jobs", default=os.cpu_count() or 1,
+@click.option("--jobs", type=click.IntRange(1, 64), default=os.cpu_count() or 1,
               help="processes; the result does not depend on it")
 def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
     from examination.blind.make import make
@@ -55,51 +55,42 @@ def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
 
 @blind.command("run", help="Run the diagnosis on every case.")
 @click.argument("folder", metavar="DIR")
-@click.option("--answers", metavar="DIR",
-              help="folder for the answers (default: DIR/answers/diagnosis)")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="cases at a time")
 @click.option("--time-limit", type=click.FloatRange(0.0, min_open=True), default=120.0,
               help="s for a case, plus half of that for each further record")
-def run_cases(folder: str, answers: str | None, jobs: int, time_limit: float) -> None:
-    from examination.blind.case_files import Examination, read_case_set, write_examination
+def run_cases(folder: str, jobs: int, time_limit: float) -> None:
+    from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, examine, open_cases
     cases = read_case_set(folder)
-    place = Path(answers or cases.answers / "diagnosis")
-    write_examination(place, Examination("diagnosis", DIAGNOSE, time_limit, cases.sealed_sha256))
-    waiting = open_cases(cases.names, place)
-    failed = examine(Examinee(DIAGNOSE, time_limit), waiting, cases.folder, place, jobs)
-    left = len(open_cases(cases.names, place))
-    print(f"{place}: {len(cases.names)} cases, {len(waiting)} asked, {failed} failed, {left} open")
+    waiting = open_cases(cases.names, cases.answers)
+    failed = examine(Examinee(DIAGNOSE, time_limit), waiting, cases.folder, cases.answers, jobs)
+    left = len(open_cases(cases.names, cases.answers))
+    print(f"{folder}: {len(cases.names)} cases, {len(waiting)} asked, {failed} failed, {left} open")
 
 
 @blind.command("score", help="Open the labels once all cases are answered; print all measures.")
 @click.argument("folder", metavar="DIR")
-@click.option("--answers", metavar="DIR", multiple=True,
-              help="folder of answers (repeatable; default: all in DIR/answers)")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="follow-ups at a time")
 @click.option("--no-follow-up", is_flag=True, help="do not perform the suggested experiments")
 @click.option("--ties-only", is_flag=True, help="perform only those that ambiguous answers suggest")
 @click.option("--markdown", metavar="FILE", help="write the result as a page")
 @click.option("--json", "result", metavar="FILE", help="write the result to FILE")
 @click.option("--force", is_flag=True, help="replace outputs that exist")
-def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool,
-                ties_only: bool, markdown: str | None, result: str | None, force: bool) -> None:
+def score_cases(folder: str, jobs: int, no_follow_up: bool, ties_only: bool, markdown: str | None,
+                result: str | None, force: bool) -> None:
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
-    from examination.blind.score import followed_up, handed_in, open_labels, page, score
+    from examination.blind.score import handed_in, open_labels, page, score
     for path in (markdown, result):
         if path and Path(path).exists() and not force:
             message = "exists already, expected a new path; --force replaces it"
             raise InputError(f"{path}: {message}")
     cases = read_case_set(folder)
-    papers = handed_in(cases, [Path(place) for place in answers])
+    handed_in(cases, cases.answers)
     labels = open_labels(cases)
     if not no_follow_up:
-        for paper in papers:
-            examinee = Examinee(paper.examination.program, paper.examination.time_limit)
-            follow_up(cases, labels, examinee, paper.folder, jobs, ties_only)
-        papers += followed_up(papers)
-    scores = score(cases, papers, labels)
+        follow_up(cases, labels, Examinee(DIAGNOSE), cases.answers, jobs, ties_only)
+    scores = score(cases, labels, cases.answers)
     about = {"seed": cases.seed, "split": cases.split, "n": len(cases.names)}
     about["sha256"] = cases.sealed_sha256
     if result:

@@ -34,6 +34,7 @@ RECORD, HOLD_OUT, NOMINAL, EXPERIMENT = "record", "hold_out", "nominal.yaml", "e
 _RESULT, _IMPROVED = "result.json", "improved.yaml"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _LOOK_EVERY = 0.02  # s
+TIME_LIMIT = 120.0  # s
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class Examinee:
     (plus half of that for each further record), or once it is `stopped`."""
 
     program: tuple[str, ...]
-    time_limit: float
+    time_limit: float = TIME_LIMIT
     stopped: threading.Event = field(default_factory=threading.Event)
 
     def ask(self, case: Path, place: Path, experiments: Sequence[Path] = (),

@@ -1,9 +1,9 @@
 """Scores answers by the labels, once every case is answered, and writes the result as a page."""
 
 import math
-from collections import Counter, defaultdict, namedtuple
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,7 @@ from sma_bench.installation import VERSION
 from sma_bench.parameters import read_parameters
 
 Labels = Mapping[str, Mapping[str, Any]]
-FOLLOWED_UP = ", followed up"
-
-Paper = namedtuple("Paper", "folder examination kept")  # all answers of one examinee, as handed in
+DIAGNOSIS, FOLLOWED_UP = "diagnosis", "diagnosis, followed up"
 
 
 @dataclass(frozen=True)
@@ -45,24 +43,13 @@ class Score:
         return {"measures": measures, "confusion": confusion(self.cases), "failed": failed}
 
 
-def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
-    """The complete papers of some folders, or of all that lie in the set; raises InputError where
-    nobody has answered, an answer is missing, or it is to another set."""
-    there = (path.parent for path in sorted(cases.answers.glob(f"*/{files.EXAMINATION}")))
-    papers = []
-    if not (found := list(folders or there)):
-        raise InputError(f"{cases.answers}: no answers: run ./bench blind run first")
-    for folder in found:
-        examination = files.read_examination(folder)
-        if examination.sealed != cases.sealed_sha256:
-            raise InputError(f"{folder}: holds answers to another set than {cases.root}")
-        if missing := open_cases(cases.names, folder):
-            raise InputError(f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer "
-                             f"yet, the first is {missing[0]}: the labels stay sealed until all "
-                             "are asked")
-        kept = tuple(files.read_kept(folder, name) for name in cases.names)
-        papers.append(Paper(folder, examination, kept))
-    return papers
+def handed_in(cases: CaseSet, answers: Path) -> list[files.Kept]:
+    """All answers to a set; raises InputError where one is missing."""
+    if missing := open_cases(cases.names, answers):
+        raise InputError(f"{answers}: {len(missing)} of {len(cases.names)} cases have no answer "
+                         f"yet, the first is {missing[0]}: the labels stay sealed until all are "
+                         "asked; ./bench blind run asks")
+    return [files.read_kept(answers, name) for name in cases.names]
 
 
 def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
@@ -74,37 +61,29 @@ def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
     return labels
 
 
-def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score]:
-    """Judge every complete paper; each case's world is played once for all of them."""
-    judged: list[list[Judged]] = [[] for _ in papers]
-    for k, name in enumerate(cases.names):
-        label, unseen = labels[name], judgement.UnseenRecord(labels[name])
-        nominal = read_parameters(cases.folder / name / NOMINAL)
-        for paper, into in zip(papers, judged, strict=True):
-            kept, history = paper.kept[k], files.answers_of(paper.folder, name)
+def score(cases: CaseSet, labels: Labels, answers: Path) -> list[Score]:
+    """Judge the answers to a set, and the last ones if experiments were performed."""
+    first, last = [], []
+    for given in handed_in(cases, answers):
+        label, unseen = labels[given.case], judgement.UnseenRecord(labels[given.case])
+        nominal = read_parameters(cases.folder / given.case / NOMINAL)
+        history = files.answers_of(answers, given.case)
+        judged = []
+        for kept in (given, *history[1:][-1:]):
             improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
             before, after = (judgement.parameter_error(label["truth"], nominal, p)
                              for p in (nominal, improved))
-            into.append(Judged(msgspec.convert(label, judgement.Label), kept.answer,
-                               unseen.shrunk(nominal, improved),
-                               judgement.moved_parameters(nominal, improved),
-                               history[-1].answer if len(history) > 1 else None,
-                               tied and len(history) > 1, before, after, kept.seconds, kept.line))
-    return [Score(paper.examination.name, tuple(of),
-                  {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
-            for paper, of in zip(papers, judged, strict=True)]
-
-
-def followed_up(papers: Sequence[Paper]) -> list[Paper]:
-    """The last answers of each examinee for whom an experiment was performed."""
-    found = []
-    for paper in papers:
-        last = tuple(files.answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
-        if last != paper.kept:
-            name = f"{paper.examination.name}{FOLLOWED_UP}"
-            found.append(Paper(paper.folder, replace(paper.examination, name=name), last))
-    return found
+            judged.append(Judged(msgspec.convert(label, judgement.Label), kept.answer,
+                                 unseen.shrunk(nominal, improved),
+                                 judgement.moved_parameters(nominal, improved),
+                                 history[-1].answer if len(history) > 1 else None,
+                                 tied and len(history) > 1, before, after, kept.seconds, kept.line))
+        first.append(judged[0])
+        last.append(judged[-1])
+    both = {DIAGNOSIS: tuple(first)} | ({} if first == last else {FOLLOWED_UP: tuple(last)})
+    return [Score(name, of, {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
+            for name, of in both.items()]
 
 
 # --- Results by what was hidden: the confusion matrix, groups of cases.

@@ -10,7 +10,6 @@ Exits with 1 if a number is outside its tolerance or missing. Results that need 
 the checkout are skipped, by name, if the data are not there.
 """
 
-import argparse
 import json
 import math
 import os
@@ -18,15 +17,16 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import joblib
 import numpy as np
 import yaml
 
 import sma_bench
+from examination.pieces import PROCESSES, options_of
+from sma_bench.parameters.yaml_file import write_text_atomically
 
 # --- The results: numbers with tolerances. These functions stay, whatever changes behind the public
 # interface.
@@ -35,22 +35,22 @@ KEPT = Path(__file__).with_name("golden_numbers")
 CONFIG = ROOT / "config"
 DATA = ROOT.parent / "shared" / "data"
 sys.path.insert(0, str(ROOT / "examples"))
-_MADE = yaml.safe_load((KEPT / "made.yaml").read_text(encoding="utf-8"))
+_MADE = yaml.safe_load((KEPT / "made.yaml").read_text().replace("{data}", str(DATA)))
 REASONS: dict[str, str] = _MADE["reasons"]
-SECTIONS = tuple(_MADE["tasks"])
+TASKS: dict[str, dict[str, dict[str, Any]]] = _MADE["tasks"]
+SECTIONS = tuple(TASKS)
 DAILY = SECTIONS[:4]
 DEVELOPMENT_SEED, BLIND = 1000, "examination.blind.command"
 
 
 # --- numbers -----------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Number:
+class Number(NamedTuple):
     """A number with a tolerance, or a text or count that must be the same. `side`: "" if both
     directions count as outside, "+" if only larger, "-" if only smaller values do."""
 
     value: float | int | str | None
-    tolerance: float
-    reason: str
+    tolerance: float = 0.0
+    reason: str = "exact"
     side: str = ""
 
     def moved(self, now: "Number") -> float:
@@ -62,11 +62,6 @@ class Number:
         moved = (now.value - self.value) / self.tolerance
         return moved if math.isfinite(moved) else math.inf
 
-    def is_outside(self, now: "Number") -> bool:
-        """True if `now` is outside the tolerance."""
-        moved = self.moved(now)
-        return {"": abs(moved), "+": moved, "-": -moved}[self.side] > 1.0
-
     def __str__(self) -> str:
         return f"{self.value:.7g}" if is_number(self.value) else str(self.value)
 
@@ -74,27 +69,15 @@ class Number:
 Numbers = dict[str, Number]
 
 
-@dataclass(frozen=True)
-class Result:
-    """One record identified, one case diagnosed, ...: its numbers, or why there are none.
-    `seconds`: CPU time; `skipped`: data that are missing; `failed`: the error."""
-
-    numbers: Numbers
-    seconds: float = 0.0
-    skipped: str = ""
-    failed: str = ""
-
-
-def exact(value: float | str | None) -> Number:
-    """A verdict, a name or a count, which must be the same."""
-    return Number(value, 0.0, "exact")
+def is_number(value: Any) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool)
 
 
 def within(value: float | None, tolerance: float, reason: str, side: str = "") -> Number:
     """A number with its tolerance, both rounded as stored."""
-    if not is_number(value) or not math.isfinite(float(value or 0.0)):
-        return exact(None if value is None else str(value))
-    return Number(float(f"{float(value or 0.0):.9g}"), float(f"{tolerance:.3g}"), reason, side)
+    if value is None or not math.isfinite(value):
+        return Number(None if value is None else str(value))
+    return Number(float(f"{value:.9g}"), float(f"{tolerance:.3g}"), reason, side)
 
 
 def relative(value: float | None, share: float, reason: str) -> Number:
@@ -109,10 +92,6 @@ def estimate(name: str, found: Mapping[str, Any]) -> Numbers:
     if std and math.isfinite(std):
         own = within(value, 0.1 * std, "standard error")
     return {name: own, f"{name}, std": relative(std, 0.1, "curvature")}
-
-
-def is_number(value: Any) -> bool:
-    return isinstance(value, float | int) and not isinstance(value, bool)
 
 
 # --- what is computed: identify -----------------------------------------------------------------
@@ -177,7 +156,7 @@ def identified(records: Sequence[Any], parameters: Any = None,
     result, numbers = found.to_json(), {}
     tables = {"": result["parameters"]}
     tables |= {f"{one['name']}: ": one.get("details", {}) for one in result["experiments"]}
-    numbers["experiments"] = exact(" ".join(sorted(one["name"] for one in result["experiments"])))
+    numbers["experiments"] = Number(" ".join(sorted(one["name"] for one in result["experiments"])))
     for table, estimates in tables.items():
         for name, value in estimates.items():
             numbers |= estimate(f"{table}{name}", value)
@@ -189,13 +168,13 @@ def unseen_errors(record: Any, parameters: Any) -> Numbers:
     run = sma_bench.load(sma_bench.simulate(record, parameters))
     wanted, numbers = ("current", "temperature", "deflection", "elongation"), {}
     for name in sorted(record.signals.keys() & run.signals.keys()):
-        told, made = record[name], run[name]
-        if name.rpartition(".")[2] not in wanted or not np.ptp(told.values):  # constant signal
+        seen, made = record[name], run[name]
+        if name.rpartition(".")[2] not in wanted or not np.ptp(seen.values):  # constant signal
             continue
-        gap = np.interp(told.time, made.time, made.values) - told.values
+        gap = np.interp(seen.time, made.time, made.values) - seen.values
         if name in ("deflection", "elongation"):
             gap -= np.median(gap)  # its zero is arbitrary
-        error = 100.0 * float(np.sqrt(np.mean(gap**2)) / np.ptp(told.values))
+        error = 100.0 * float(np.sqrt(np.mean(gap**2)) / np.ptp(seen.values))
         key, tolerance = f"unseen run, {name}: error in % of its span", max(0.05 * error, 0.01)
         numbers[key] = within(error, tolerance, "unseen", "+")
     return numbers
@@ -250,8 +229,8 @@ def diagnosed_demo(hidden: Mapping[str, float]) -> Numbers:
     return diagnosed(seen, lab, unseen)
 
 
-def development_case(folder: str, number: int) -> Numbers:
-    case = sorted(path.parent for path in Path(folder).glob("**/nominal.yaml"))[number]
+def development_case(cases: str, number: int) -> Numbers:
+    case = sorted(path.parent for path in Path(cases).glob("**/nominal.yaml"))[number]
     return diagnosed(case / "record", case / "nominal.yaml", case / "hold_out")
 
 
@@ -260,10 +239,10 @@ def diagnosed(record: Any, parameters: Any, hold_out: Any) -> Numbers:
     result = sma_bench.diagnose(record, parameters, hold_out).to_json()
     candidates = sorted(result["candidates"], key=lambda found: -found["probability"])
     numbers = {
-        "verdict": exact(result["verdict"]),
-        "cause": exact(" + ".join(sorted(result["cause"]))),
-        "first choice": exact(candidates[0]["name"]),
-        **{f"where, {key}": exact(result["where"][key]) for key in ("signal", "phase", "side")}}
+        "verdict": Number(result["verdict"]),
+        "cause": Number(" + ".join(sorted(result["cause"]))),
+        "first choice": Number(candidates[0]["name"]),
+        **{f"where, {key}": Number(result["where"][key]) for key in ("signal", "phase", "side")}}
     for candidate in candidates:
         if candidate["probability"] >= 0.01:
             name = f"probability of {candidate['name']}"
@@ -284,27 +263,23 @@ def paper() -> Numbers:
         file = Path(folder) / "paper.json"
         sma_bench_command("paper", "--out", f"{folder}/page", "--json", str(file))
         page = json.loads(file.read_text())
-    numbers = {"errata": exact(len(page["errata"])), "figures": exact(len(page["figures"]))}
+    numbers = {"errata": Number(len(page["errata"])), "figures": Number(len(page["figures"]))}
     for table, rows in page["tables"].items():
         for row in rows:
             name = f"{table}, {row['description']} ({row['quantity']})"
-            numbers[f"{name}, printed"] = exact(row["paper"])
+            numbers[f"{name}, printed"] = Number(row["paper"])
             found = row["identified"] or {"value": None, "std": None}
             numbers |= estimate(f"{name}, identified", found)
     return numbers
 
 
-def blind_measures(cases: str, jobs: str) -> Numbers:
+def blind_measures(cases: str) -> Numbers:
     """The scorer's measures on development cases, without follow-up experiments."""
-    with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as made:
-        answers, score = f"{made}/diagnosis", f"{made}/score.json"
-        asked = ("--answers", answers, "--jobs", jobs, "--time-limit", PATIENCE)
-        before = _processor_time()
-        sma_bench_command("run", cases, *asked, module=BLIND)
-        each = (_processor_time() - before) / SCORED_CASES
-        scored = ("--answers", answers, "--no-follow-up", "--json", score)
-        sma_bench_command("score", cases, *scored, module=BLIND)
-        found = json.loads(Path(score).read_text())["scores"]["diagnosis"]["measures"]
+    score, before = f"{cases}/score.json", _processor_time()
+    sma_bench_command("run", cases, "--time-limit", PATIENCE, module=BLIND)
+    each = (_processor_time() - before) / SCORED_CASES
+    sma_bench_command("score", cases, "--no-follow-up", "--json", score, module=BLIND)
+    found = json.loads(Path(score).read_text())["scores"]["diagnosis"]["measures"]
     numbers = {"processor time of a case, s": within(each, 0.5 * each, "time", "+")}
     for side, names in _MADE["measures"].items():
         for name in names:
@@ -314,11 +289,6 @@ def blind_measures(cases: str, jobs: str) -> Numbers:
                 tolerance = (0.02 * (value or 0.0), "not worse")
             numbers[name] = within(value, *tolerance, side)
     return numbers
-
-
-def make_cases(folder: str, number: int, jobs: int) -> None:
-    what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number), "--out", folder)
-    sma_bench_command("make", *what, "--jobs", str(jobs), module=BLIND)
 
 
 def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
@@ -332,32 +302,23 @@ def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
 
 # --- the results --------------------------------------------------------------------------------
 SHOWN = 0.01  # tolerances: smaller changes of a number are not listed
-Results = Mapping[str, Result]
+# A result as stored: its numbers, s of CPU time; or `problem`: why it has no numbers.
+Result = dict[str, Any]
 
 
-def tasks(section: str, cases: str = "", jobs: int = 1) -> dict[str, dict[str, Any]]:
-    """Recipes of the results of a section, as in made.yaml. `cases`: folder of sets by size;
-    `jobs`: processes for blind60."""
-
-    def filled(value: Any) -> Any:
-        if isinstance(value, list):
-            return [filled(one) for one in value]
-        return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
-
-    return {name: row | {"arguments": filled(row.get("arguments", []))}
-            for name, row in _MADE["tasks"][section].items()}
-
-
-def made(row: Mapping[str, Any]) -> Result:
-    needed, begin = DATA / row.get("needs", ""), _processor_time()
-    if "needs" in row and not needed.is_dir():
-        return Result({}, skipped=f"no measured data in {needed}")
+def made(row: Mapping[str, Any], cases: Path) -> Result:
+    """The result of a row of made.yaml; `cases`: folder of sets of development cases by size."""
+    begin, needed = _processor_time(), DATA / row.get("needs", "")
+    if not needed.is_dir() and "needs" in row:
+        return {"numbers": {}, "seconds": 0.0, "problem": f"skipped: no measured data in {needed}"}
+    arguments = [str(cases / str(row["cases"]))] if "cases" in row else []
+    numbers, problem = {}, ""
     try:
-        numbers = globals()[row["function"]](*row["arguments"], **row.get("named", {}))
+        function = globals()[row["function"]]
+        numbers = function(*arguments, *row.get("arguments", ()), **row.get("named", {}))
     except Exception as error:  # one failure must not stop the others
-        line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
-        return Result({}, _processor_time() - begin, failed=line)
-    return Result(numbers, _processor_time() - begin)
+        problem = f"FAILED: {type(error).__name__}: {error}".replace(f"{DATA}/", "")
+    return {"numbers": numbers, "seconds": _processor_time() - begin, "problem": problem}
 
 
 def _processor_time() -> float:
@@ -365,106 +326,84 @@ def _processor_time() -> float:
     return sum(os.times()[:4])
 
 
-def compare(kept: Results, now: Results) -> Iterator[tuple[bool, str]]:
+def compare(result: str, kept: Numbers, now: Numbers) -> Iterator[tuple[bool, str]]:
     """Numbers that changed, are missing or new: whether outside the tolerance, and a line."""
-    for result, found in now.items():
-        old = kept[result].numbers if result in kept else {}
-        for name in dict.fromkeys([*old, *found.numbers]) if not found.skipped else ():
-            where, before, after = f"{result}: {name}", old.get(name), found.numbers.get(name)
-            if before is None:
-                yield False, f"new      {where}: {after}"
-            elif after is None:
-                yield True, f"OUTSIDE  {where}: gone, was {before}"
-            elif abs(far := before.moved(after)) > SHOWN:
-                outside = before.is_outside(after)
-                by = f"{before} is now {after}, {far:+.2f} tolerances ({before.reason})"
-                yield outside, f"{'OUTSIDE' if outside else 'moved':8} {where}: {by}"
+    for name in dict.fromkeys([*kept, *now]):
+        before, after = kept.get(name), now.get(name)
+        if before is None:
+            yield False, f"new      {result}: {name}: {after}"
+        elif after is None:
+            yield True, f"OUTSIDE  {result}: {name}: gone, was {before}"
+        elif abs(far := before.moved(after)) > SHOWN:
+            outside = {"": abs(far), "+": far, "-": -far}[before.side] > 1.0
+            word = "OUTSIDE " if outside else "moved   "
+            by = f"{before} is now {after}, {far:+.2f} tolerances ({before.reason})"
+            yield outside, f"{word} {result}: {name}: {by}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="./bench check golden", description=__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    add = parser.add_argument
-    add("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
-    add("--only", default="", metavar="NAME", help="results with this in the name")
-    add("--write", action="store_true", help="keep the numbers as they are now")
-    add("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
-    options = parser.parse_args(argv)
-    sections = list(dict.fromkeys(options.sections or DAILY))
-    if unknown := [section for section in sections if section not in SECTIONS]:
-        parser.error(f"no section {unknown[0]!r}, expected some of {', '.join(SECTIONS)}")
-
-    now: dict[str, dict[str, Result]] = {section: {} for section in sections}
-    with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as cases:
-        due = [(section, name, row) for section in sections
-               for name, row in tasks(section, cases, options.jobs).items() if options.only in name]
-        if not due:
-            _say(f"no result has {options.only!r} in its name")
-            return 2
+    options = options_of(
+        "golden", __doc__, argv, sections=(list(SECTIONS), "without one: all but blind60"),
+        only=("", "results with this in the name"), write=(False, "keep the numbers as they are"),
+        processes=(PROCESSES, "at once"))
+    now: dict[str, dict[str, Result]] = {one: {} for one in options.sections or DAILY}
+    due = [(section, name, row) for section in now for name, row in TASKS[section].items()
+           if options.only in name]
+    with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as folder:
         for number in sorted({row["cases"] for *_, row in due if "cases" in row}):
-            _say(f"making {number} development cases")
-            make_cases(f"{cases}/{number}", number, options.jobs)
-        calls = (joblib.delayed(made)(row) for *_, row in due)
-        results = joblib.Parallel(options.jobs, return_as="generator")(calls)
-        for count, ((section, name, _), result) in enumerate(zip(due, results, strict=True), 1):
+            what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number))
+            sma_bench_command("make", *what, "--out", f"{folder}/{number}", module=BLIND)
+        calls = (joblib.delayed(made)(row, Path(folder)) for *_, row in due)
+        results = joblib.Parallel(options.processes, return_as="generator")(calls)
+        for (section, name, _), result in zip(due, results, strict=True):
             now[section][name] = result
-            _say(f"{count}/{len(due)}  ({section}: {name})")
+            print(f"golden: {section}: {name}", file=sys.stderr, flush=True)
     failures = sum(report(section, found, options) for section, found in now.items())
     print("FAILED" if failures else "PASSED")
     return 1 if failures and not options.write else 0
 
 
-def report(section: str, found: dict[str, Result], options: argparse.Namespace) -> int:
+def report(section: str, found: dict[str, Result], options: Any) -> int:
     """Print the changes in a section, store the numbers with --write; how many are outside."""
-    file = KEPT / f"{section}.json"
-    before = read(file)
-    if not options.only:
-        gone = Result({}, failed="nothing makes this result any more")
-        found |= {name: gone for name in before if name not in found}
-    moves = sorted(compare(before, found), key=lambda move: not move[0])
-    outside, old = sum(out for out, _ in moves), [before[n] for n in found if n in before]
-    print(f"\n{section}: {len(found)} results, {sum(len(r.numbers) for r in old)} numbers kept, "
-          f"{len(moves)} moved, gone or new, {outside} outside; "
-          f"{sum(r.seconds for r in found.values()):.0f} s of processor time, "
-          f"{sum(r.seconds for r in old):.0f} s then")  # fmt: skip
-    for name, result in found.items():
-        if result.skipped or result.failed:
-            word = "skipped" if result.skipped else "FAILED"
-            print(f"  {word:8} {name}: {result.skipped or result.failed}")
-    print(*(f"  {line}\n" for _, line in moves), sep="", end="")
+    before = read(section)
+    for name in before.keys() - found.keys() if not options.only else ():
+        found[name] = {"numbers": {}, "seconds": 0.0, "problem": "FAILED: no longer made"}
+    moves = [move for name, result in found.items() if not result["problem"].startswith("skipped")
+             for move in compare(name, before[name]["numbers"] if name in before else {},
+                                 result["numbers"])]
+    outside, old = sum(out for out, _ in moves), [before[name] for name in found if name in before]
+    now, then = (sum(result["seconds"] for result in of) for of in (found.values(), old))
+    print(f"\n{section}: {len(found)} results, {sum(len(r['numbers']) for r in old)} numbers kept, "
+          f"{len(moves)} moved, gone or new, {outside} outside; {now:.0f} s of processor time, "
+          f"{then:.0f} s then")
+    print(*(f"  {r['problem']}: {name}\n" for name, r in found.items() if r["problem"]),
+          *(f"  {line}\n" for _, line in sorted(moves, key=lambda move: not move[0])),
+          sep="", end="")
     if options.write:
-        written = before | {name: result for name, result in found.items() if result.numbers}
-        order = [*(name for name in found if name in written), *written]
-        write(file, {name: written[name] for name in order})
+        write(section, before | {name: one for name, one in found.items() if one["numbers"]})
     return outside
 
 
-def _say(text: str) -> None:
-    print(f"golden: {text}", file=sys.stderr, flush=True)
-
-
-def read(path: Path) -> dict[str, Result]:
-    results = {}
-    for name, result in json.loads(path.read_text())["results"].items() if path.is_file() else ():
-        numbers = {key: Number(*entry) if isinstance(entry, list) else exact(entry)
-                   for key, entry in result["numbers"].items()}  # fmt: skip
-        results[name] = Result(numbers, result["seconds"])
+def read(section: str) -> dict[str, Result]:
+    """The stored results of a section, by name."""
+    path = KEPT / f"{section}.json"
+    results = json.loads(path.read_text())["results"] if path.is_file() else {}
+    for result in results.values():
+        result["numbers"] = {key: Number(*(entry if isinstance(entry, list) else [entry]))
+                             for key, entry in result["numbers"].items()}
     return results
 
 
-def write(path: Path, results: Results) -> None:
+def write(section: str, results: dict[str, Result]) -> None:
     """One number per line: the value if exact, else value, tolerance, reason, side."""
-    used = {n.reason for result in results.values() for n in result.numbers.values()}
-    reasons = {reason: text for reason, text in REASONS.items() if reason in used}
-    blocks = []
+    blocks, used = [], {"exact"}
     for name, result in results.items():
-        lines = []
-        for key, n in result.numbers.items():
-            entry = [n.value, n.tolerance, n.reason, *([n.side] if n.side else [])]
-            text = json.dumps(n.value if n.reason == "exact" else entry)
-            lines.append(f"    {json.dumps(key)}: {text}")
-        head, text = f'{{"seconds": {result.seconds:.1f}, "numbers": {{', ",\n".join(lines)
-        blocks.append(f"  {json.dumps(name)}: {head}\n{text}\n  }}}}")
-    text, tolerances = ",\n".join(blocks), json.dumps(reasons, indent=1)
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(f'{{"tolerances": {tolerances},\n"results": {{\n{text}\n}}}}\n')
+        used |= {number.reason for number in result["numbers"].values()}
+        lines = (f"    {json.dumps(key)}: "
+                 + json.dumps(n.value if n.reason == "exact" else [*n[:3], *filter(None, n[3:])])
+                 for key, n in result["numbers"].items())
+        head = f'  {json.dumps(name)}: {{"seconds": {result["seconds"]:.1f}, "numbers": {{'
+        blocks.append(f"{head}\n" + ",\n".join(lines) + "\n  }}")
+    reasons = json.dumps({name: text for name, text in REASONS.items() if name in used}, indent=1)
+    text = f'{{"tolerances": {reasons},\n"results": {{\n' + ",\n".join(blocks) + "\n}}\n"
+    write_text_atomically(KEPT / f"{section}.json", text)

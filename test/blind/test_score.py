@@ -1,6 +1,7 @@
 """The scorer: sealed until the last answer, true shrinkage, second experiments, result pages."""
 
 import json
+import shutil
 import sys
 from dataclasses import asdict
 
@@ -13,8 +14,7 @@ from examination.blind.command import main
 from examination.blind.examination import Examinee, follow_up
 from examination.blind.judgement import UnseenRecord
 from examination.blind.rigs import true_values
-from examination.blind.score import followed_up, handed_in, score
-from sma_bench.errors import InputError
+from examination.blind.score import score
 from sma_bench.parameters import write_parameters
 from sma_bench.records import read_record
 
@@ -58,17 +58,18 @@ def made(tmp_path_factory):
     return root, labels, drawn
 
 
-def hand_in(made, folder, answers, name="diagnosis", program=("x",)):
+def hand_in(made, folder, answers):
+    """A copy of the set with these answers."""
     root, _, drawn = made
-    cases = files.read_case_set(root)
-    files.write_examination(folder, files.Examination(name, program, 30.0, cases.sealed_sha256))
+    cases = files.read_case_set(shutil.copytree(root, folder / "set"))
     for case, result in answers.items():
         right = None
         if result and result["verdict"] == "effect":
             better = drawn[case].truth.replace({"effect.supply_drop.resistance": 0.3})
             write_parameters(folder / "better.yaml", better)
             right = (folder / "better.yaml").read_text()
-        files.keep(folder, case, result, "" if result else "exit code 1: it hurts", 2.0, right)
+        files.keep(cases.answers, case, result, "" if result else "exit code 1: it hurts", 2.0,
+                   right)
     return cases
 
 
@@ -81,14 +82,10 @@ def test_labels_stay_sealed_until_the_last_answer_to_this_set(made, tmp_path, mo
     cases = hand_in(made, tmp_path, {n: GOOD[n] for n in ("0001", "0003")})
     touched = []
     monkeypatch.setattr("examination.blind.case_files.unseal", lambda *a: touched.append(a))
-    assert main(["score", str(cases.root), "--answers", str(tmp_path)]) == 2
+    assert main(["score", str(cases.root)]) == 2
     error = capsys.readouterr().err
     assert "1 of 3 cases have no answer yet, the first is 0002: the labels stay sealed" in error
     assert error.count("\n") == 1 and touched == []
-    files.write_examination(tmp_path / "other", files.Examination("x", ("x",), 1.0, "0" * 64))
-    for folders, line in (([tmp_path / "other"], "answers to another set"), ([], "no answers")):
-        with pytest.raises(InputError, match=line):
-            handed_in(cases, folders)
 
 
 def test_the_true_cause_takes_the_true_gap_away_and_a_wrong_one_does_not(made):
@@ -119,10 +116,10 @@ def test_what_is_asked_for_is_recorded_on_the_own_bench_and_the_program_asked_ag
     script = tmp_path / "second.py"
     script.write_text(SECOND_ANSWER)
     script.with_suffix(".json").write_text(json.dumps(document("unexplained", unexplained=1.0)))
-    answers = tmp_path / "answers"
     program = (sys.executable, "-S", str(script))
     asks = document("effect", "supply_drop", protocol=TIE, supply_drop=1.0)  # and is no tie
-    cases = hand_in(made, answers, {**GOOD, "0001": asks}, program=program)
+    cases = hand_in(made, tmp_path, {**GOOD, "0001": asks})
+    answers = cases.answers
     follow_up(cases, labels, Examinee(program, 30.0), answers, ties_only=True)
     assert [path.name for path in (answers / files.FOLLOW_UPS[0]).iterdir()] == ["0003"]
     assert files.read_kept(answers / files.FOLLOW_UPS[0], "0003").line == ""
@@ -132,42 +129,39 @@ def test_what_is_asked_for_is_recorded_on_the_own_bench_and_the_program_asked_ag
     resistance = labels["0003"]["truth"]["wire.resistance"]
     assert volts.max() / amps.max() == pytest.approx(resistance, rel=0.03)
     assert record["back_1.voltage"].values.max() == 0.0
-    (found,) = score(cases, handed_in(cases, [answers]), labels)
+    found, after = score(cases, labels, answers)
     resolved = found.measured["of the ambiguous, settled rightly"]
     assert (resolved.hits, resolved.n) == (1, 1)
     nobody = Examinee(("/no/such",), 30.0)
     follow_up(cases, labels, nobody, answers, ties_only=True)  # nothing is left
-    (after,) = followed_up(handed_in(cases, [answers]))
-    assert after.examination.name == "diagnosis, followed up"
-    verdicts = [kept.answer.verdict for kept in after.kept]
-    assert verdicts == ["effect", "no_gap", "unexplained"]
+    assert after.name == "diagnosis, followed up"
+    assert [case.answer.verdict for case in after.cases] == ["effect", "no_gap", "unexplained"]
 
 
 def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_path, capsys):
-    root, _, _ = made
-    folders = [tmp_path / "a", tmp_path / "b"]
-    hand_in(made, folders[0], GOOD)
-    always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
-    hand_in(made, folders[1], always, "always slack")
+    cases = hand_in(made, tmp_path / "a", GOOD)
     markdown, result = tmp_path / "docs" / "r.md", tmp_path / "r.json"
-    arguments = ["score", str(root), "--no-follow-up", "--json", str(result)]
-    arguments += ["--markdown", str(markdown)]
-    for folder in folders:
-        arguments += ["--answers", str(folder)]
-    assert main(arguments) == 0
+
+    def arguments(cases):
+        words = ["score", str(cases.root), "--no-follow-up", "--json", str(result)]
+        return [*words, "--markdown", str(markdown)]
+
+    assert main(arguments(cases)) == 0
     text = markdown.read_text()
     assert capsys.readouterr().out == text + "\n"
     for part in ("false alarms on no effect", "Truth against first choice", "by severity",
                  "by signals", "All cases by kind", "./bench blind run cases\n",
                  "./bench blind make --seed 5 --n 3 --out cases"):
         assert part in text
-    scores = json.loads(result.read_text())["scores"]
-    error = scores["diagnosis"]["measures"]["claimed against true shrinkage, median"]
+    error = json.loads(result.read_text())["scores"]["diagnosis"]["measures"][
+        "claimed against true shrinkage, median"]
     assert error["n"] == 2 and 0.1 < error["value"] < 0.9  # of one all was found, of one nothing
-    row = scores["always slack"]["measures"]["false alarms on no effect"]
+    always = {name: document("effect", "slack", slack=0.9, no_gap=0.1) for name in CASES}
+    always = hand_in(made, tmp_path / "b", always)
+    assert main(arguments(always)) == 2 and markdown.read_text() == text
+    assert main([*arguments(always), "--force"]) == 0 and markdown.read_text() != text
+    score = json.loads(result.read_text())["scores"]["diagnosis"]
+    row = score["measures"]["false alarms on no effect"]
     assert (row["value"], row["n"], row["met"], row["floor"]) == (1.0, 1, "missed", 0.015)
     assert row["low"] == pytest.approx(0.025) and row["high"] == 1.0
-    assert scores["always slack"]["confusion"]["supply_drop"]["slack"] == 1
-    markdown.write_text("kept")
-    assert main(arguments) == 2 and markdown.read_text() == "kept"
-    assert main([*arguments, "--force"]) == 0 and markdown.read_text() == text
+    assert score["confusion"]["supply_drop"]["slack"] == 1

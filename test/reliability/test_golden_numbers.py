@@ -8,7 +8,7 @@ import yaml
 
 from examination.check import golden
 
-ONE_RESULT = ("simulate", "--only", "plain, wire", "--jobs", "1")
+ONE_RESULT = ("simulate", "--only", "plain, wire", "--processes", "1")
 
 
 def test_a_changed_number_fails_and_a_failed_command_too(tmp_path, capsys, monkeypatch):
@@ -29,9 +29,10 @@ def test_a_changed_number_fails_and_a_failed_command_too(tmp_path, capsys, monke
     status, out = again()
     assert status == 1 and "1 outside" in out and "-3.00 tolerances (span)" in out
     assert "OUTSIDE  plain, wire: wire.temperature, largest" in out
-    monkeypatch.setattr(golden, "made", lambda row: golden.Result({}, failed="no wire"))
+    failed = {"numbers": {}, "seconds": 0.0, "problem": "FAILED: no"}
+    monkeypatch.setattr(golden, "made", lambda *_: failed)
     status, out = again()
-    assert status == 1 and "FAILED   plain, wire: no wire" in out
+    assert status == 1 and "FAILED: no: plain, wire" in out
     file.unlink()
     assert again()[0] == 0  # what never worked is no failure
 
@@ -41,18 +42,18 @@ TOLERANCES = yaml.safe_load(Path(__file__).with_name("golden_numbers.yaml").read
 
 @pytest.mark.parametrize(("number", "now", "outside"), TOLERANCES)
 def test_each_number_has_its_own_tolerance(number, now, outside):
-    kept, found, other = ({"a wire": golden.Result({name: golden.Number(*given)})}
+    kept, found, other = ({name: golden.Number(*given)}
                           for name, given in (("x", number), ("x", now), ("y", number)))
-    assert any(out for out, _ in golden.compare(kept, found)) is outside
+    assert any(out for out, _ in golden.compare("a wire", kept, found)) is outside
     # One that is gone fails, and a new one does not.
-    assert [out for out, _ in golden.compare(kept, other)] == [True, False]
+    assert [out for out, _ in golden.compare("a wire", kept, other)] == [True, False]
 
 
 def test_kept_numbers_are_compared_with_what_makes_them():
     files = sorted(golden.KEPT.glob("*.json"))
     assert {"identify", "paper", "simulate"} <= {file.stem for file in files} <= {*golden.SECTIONS}
     for file in files:
-        kept = golden.read(file)
-        assert set(kept) <= set(golden.tasks(file.stem))
-        reasons = {number.reason for result in kept.values() for number in result.numbers.values()}
+        kept = golden.read(file.stem)
+        assert set(kept) <= set(golden.TASKS[file.stem])
+        reasons = {n.reason for result in kept.values() for n in result["numbers"].values()}
         assert reasons <= {*golden.REASONS, "exact"}

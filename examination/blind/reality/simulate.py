@@ -37,9 +37,9 @@ Rig = namedtuple("Rig", "features resistance latent aside strip pairs classes ra
 
 
 @borrowing
-def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
+def run(rig, inputs, field, grains, pull, wires, scratch, values, tip):
     """Simulate a record from the given state, which is advanced in place; field (s, NODES) K;
-    values (n, QUANTITIES, w), tip (n,) m and sides (n, 2) m are written."""
+    values (n, QUANTITIES, w) and tip (n,) m are written."""
     reading = 0.0
     for k in range(len(inputs.time)):
         if k > 0:
@@ -73,7 +73,6 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                 reading = max(reading, wanted - rig.features.friction)
         slipped = inputs.time[k] - inputs.time[0] >= rig.features.clamp_slip_time
         tip[k] = reading + (rig.features.clamp_slip if slipped else 0.0)
-        sides[k, 0], sides[k, 1] = pull.deflection[0], pull.deflection[1]
         report(rig, inputs, k, field, wires, pull, values)
 
 
@@ -167,7 +166,7 @@ class Outcome:
     """True values on the given time grid, SI units, (n,) or (n, w) wires: voltage at
     the driver, held from each sample to the next; surface of the silicone beside each wire, which
     an infrared spot sees too; deflection of the tip or the slider, positive to the front, or
-    elongation of a wire with a weight or a spring; (n, 2) m of each side towards itself."""
+    elongation of a wire with a weight or a spring."""
 
     time: Array
     voltage: Array
@@ -177,7 +176,6 @@ class Outcome:
     martensite_fraction: Array
     stress: Array
     deflection: Array
-    side_deflection: Array
     ambient: Array
 
 
@@ -209,11 +207,11 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
                       np.zeros((ROWS, wires)))
     field = np.full((len(rig.pairs), heat.NODES), still)
     values = np.zeros((len(time), QUANTITIES, wires))
-    tip, sides = np.zeros(len(time)), np.zeros((len(time), 2))
+    tip = np.zeros(len(time))
     grains = transformation.grains_at_rest(wires, len(rig.classes.weight))
-    run(rig, inputs, field, grains, pull_at_rest(rig.beam), at_rest, scratch, values, tip, sides)
+    run(rig, inputs, field, grains, pull_at_rest(rig.beam), at_rest, scratch, values, tip)
     values = values[:, :, :driven]
     return Outcome(time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE],
                    values[:, SURFACE], values[:, MARTENSITE], values[:, STRESS],
                    deflection=tip if world.load in ("beam", "antagonist") else -tip,
-                   side_deflection=sides, ambient=inputs.ambient)
+                   ambient=inputs.ambient)
