@@ -8,7 +8,7 @@ calls, and compares that with config/sros2/policy.xml. `--write` writes the poli
 
 import tempfile
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
+from difflib import unified_diff
 from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree
@@ -81,56 +81,33 @@ def nodes_rules() -> Rules:
     return rules
 
 
-def read_policy(path: Path = POLICY) -> Rules:
-    """Names that the policy allows, by node. ValueError: an entry is invalid for sros2."""
-    rules: Rules = {}
-    for profile in ElementTree.parse(path).getroot().iter("profile"):
-        of = rules.setdefault(profile.attrib["node"], {kind: set() for kind in KINDS})
-        for group in profile:
-            for kind, permission in group.attrib.items():
-                tags = group.tag, *{entry.tag for entry in group}
-                if (tags, permission) != (KINDS[kind], "ALLOW"):
-                    raise ValueError(f"{path.name}: {group.tag} {kind}={permission}")
-                of[kind] |= {str(entry.text) for entry in group}
-    return rules
-
-
-def missing_rules(wanted: Rules, given: Rules) -> Rules:
-    """Names in `wanted` that no rule in `given` covers."""
-    missing: Rules = {}
-    for node, kinds in wanted.items():
-        for kind, names in kinds.items():
-            rules = given.get(node, {}).get(kind, set())
-            if lacking := {n for n in names if not any(fnmatchcase(n, rule) for rule in rules)}:
-                missing.setdefault(node, {})[kind] = lacking
-    return missing
+def policy_of(rules: Rules) -> str:
+    """The policy file that allows exactly these names."""
+    policy = ElementTree.Element("policy", version="0.2.0")
+    enclaves = ElementTree.SubElement(policy, "enclaves")
+    for node in sorted(rules):
+        enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{NAMESPACE}/{node}")
+        profiles = ElementTree.SubElement(enclave, "profiles")
+        profile = ElementTree.SubElement(profiles, "profile", ns=NAMESPACE, node=node)
+        for kind, (group, item) in KINDS.items():
+            if names := sorted(rules[node][kind]):
+                allowed = ElementTree.SubElement(profile, group, {kind: "ALLOW"})
+                for name in names:
+                    ElementTree.SubElement(allowed, item).text = name
+    ElementTree.indent(policy)
+    head = ('<?xml version="1.0" encoding="UTF-8"?>\n<!-- Topics and services of each node: '
+            "docs/threats.md. Written from the nodes by ./bench check policy with its option "
+            "write. -->\n")
+    return head + ElementTree.tostring(policy, encoding="unicode") + "\n"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 if the policy allows exactly the names of the nodes."""
     options = options_of("policy", __doc__, argv, write=(False, "write the policy from the nodes"))
-    found = nodes_rules()
+    wanted = policy_of(nodes_rules())
     if options.write:
-        policy = ElementTree.Element("policy", version="0.2.0")
-        enclaves = ElementTree.SubElement(policy, "enclaves")
-        for node in sorted(found):
-            enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{NAMESPACE}/{node}")
-            profiles = ElementTree.SubElement(enclave, "profiles")
-            profile = ElementTree.SubElement(profiles, "profile", ns=NAMESPACE, node=node)
-            for kind, (group, item) in KINDS.items():
-                if names := sorted(found[node][kind]):
-                    allowed = ElementTree.SubElement(profile, group, {kind: "ALLOW"})
-                    for name in names:
-                        ElementTree.SubElement(allowed, item).text = name
-        ElementTree.indent(policy)
-        head = ('<?xml version="1.0" encoding="UTF-8"?>\n<!-- Topics and services of each node: '
-                "docs/threats.md. Written from the nodes by ./bench check policy with its option "
-                "write. -->\n")
-        POLICY.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
-    policy = read_policy()
-    problems = [f"{title}: {node} {kind} {', '.join(sorted(names))}" for title, rules in (
-        ("used, but not allowed", missing_rules(found, policy)),
-        ("allowed, but not used", missing_rules(policy, found)))
-        for node, kinds in rules.items() for kind, names in kinds.items()]
-    print(*problems, f"{len(policy)} nodes", sep="\n")
-    return 1 if problems else 0
+        POLICY.write_text(wanted)
+    texts = (text.splitlines() for text in (POLICY.read_text(), wanted))
+    wrong = [*unified_diff(*texts, "allowed", "used", lineterm="")]
+    print(*wrong, f"{len(NODE_TABLES) + 1} nodes, {len(wrong)} lines of difference", sep="\n")
+    return 1 if wrong else 0
