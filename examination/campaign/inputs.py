@@ -278,26 +278,24 @@ FOR_ALL = tuple(command for command in COMMANDS if command != "import")
 
 def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` inputs of alternating kinds, each given to all commands."""
-    failed: dict[str, list[str]] = {name: [] for name in MAKERS}
-    results: dict[str, list[str]] = {name: [] for name in MAKERS}
     _warm_up(folder)
-    for k in range(size):
-        name = list(MAKERS)[k % len(MAKERS)]
-        for left in ("given", "out"):
-            shutil.rmtree(folder / left, ignore_errors=True)
-        # Figures are composed but not rendered, which would take most of the time.
-        undrawn = mock.patch.object(Picture, "_file", lambda *_, **__: b"")
-        with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else undrawn:
-            said, succeeded = try_case(MAKERS[name], random.Random(f"{seed} {k}"), folder)
-        said = [f"input {k} of seed {seed}: {text}" for text in said]
-        print(*(f"{name}, {text}\n" for text in said), sep="", end="", file=sys.stderr, flush=True)
-        failed[name] += said
-        results[name] += succeeded
     outcomes = []
-    for k, name in enumerate(MAKERS):
-        counts = [f"{n} {command}" for command in COMMANDS if (n := results[name].count(command))]
-        tried, what = len(range(k, size, len(MAKERS))), f"{name}, through all commands"
-        one = counted(what, tried, failed[name])
+    for first, (name, maker) in enumerate(MAKERS.items()):
+        failed, results = list[str](), list[str]()
+        numbers = range(first, size, len(MAKERS))
+        for k in numbers:
+            for left in ("given", "out"):
+                shutil.rmtree(folder / left, ignore_errors=True)
+            # Figures are composed but not rendered, which would take most of the time.
+            undrawn = mock.patch.object(Picture, "_file", lambda *_, **__: b"")
+            with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else undrawn:
+                said, succeeded = try_case(maker, random.Random(f"{seed} {k}"), folder)
+            for text in said:
+                failed.append(f"input {k} of seed {seed}: {text}")
+                print(f"{name}, {failed[-1]}", file=sys.stderr, flush=True)
+            results += succeeded
+        counts = [f"{n} {command}" for command in COMMANDS if (n := results.count(command))]
+        one = counted(f"{name}, through all commands", len(numbers), failed)
         found = f"{one.found}, results: {', '.join(counts) or 'none'}"
         outcomes.append(one._replace(found=found))
     return outcomes

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from examination.attack_lab.cases import ATTACKS, Attack, Case, clean_bag, clean_tables
+from examination.attack_lab.cases import ATTACKS, Case, clean_bag, clean_tables
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
@@ -44,14 +44,10 @@ def verdict(number: dict[str, Any]) -> str:
     return "warned" if number["warnings"] else "silent"
 
 
-def run_attack(attack: Attack, seeds: Sequence[int]) -> list[dict[str, Any]]:
-    return [judge(attack.make(np.random.default_rng(7000 + seed), seed)) for seed in seeds]
-
-
-def run_numbered(what: str, number: int, seed: int) -> Any:
-    """Run attack number `number` with so many seeds, or a clean set with a seed."""
+def run(what: str, number: int, seed: int) -> dict[str, Any]:
+    """An attack or a clean set, by number."""
     if what == "attack":
-        return run_attack(ATTACKS[number], range(seed))
+        return judge(ATTACKS[number].make(np.random.default_rng(7000 + seed), seed))
     return judge(CLEAN[number](np.random.default_rng(9000 + seed), seed))
 
 
@@ -62,11 +58,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("attacks", __doc__, argv, **own, **IN_PIECES)
     chosen = [(k, a) for k, a in enumerate(ATTACKS)
               if options.only.lower() in f"{a.experiment} {a.name}".lower()]
-    jobs = [("attack", k, options.seeds) for k, _ in chosen]
-    jobs += [("clean", kind, seed) for kind in range(len(CLEAN)) for seed in range(options.clean)]
-    found = in_pieces(run_numbered, jobs, options)
+    jobs = [("attack", k, seed) for k, _ in chosen for seed in range(options.seeds)]
+    clean = [("clean", kind, seed) for kind in range(len(CLEAN)) for seed in range(options.clean)]
+    found = in_pieces(run, jobs + clean, options)
     silent, false, rows = 0, 0, []
-    for (_, attack), results in zip(chosen, found, strict=False):
+    for n, (_, attack) in enumerate(chosen):
+        results = found[n * options.seeds : (n + 1) * options.seeds]
         every = [(name, n["z"], verdict(n)) for r in results for name, n in r["numbers"].items()]
         count = Counter(said for *_, said in every)
         shown = [x for x in every if x[2] == ("silent" if count["silent"] else "right")]
@@ -78,15 +75,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         silent += count["silent"]
     head = ("attack", *(f">{kind}" for kind in KINDS), ">refused")
     print_table((*head, "largest silent, or |z| when right"), rows)
-    for job, result in zip(jobs[len(chosen) :], found[len(chosen) :], strict=True):
+    for job, result in zip(clean, found[len(jobs) :], strict=True):
         wrong = {n: x["z"] for n, x in result["numbers"].items() if verdict(x) == "silent"}
         alarms = [*result["warnings"], *filter(None, [result["refused"]])]
         silent += len(wrong)
         false += bool(alarms)
         if alarms or wrong:
             print("clean set", *job[1:], *alarms, wrong, sep="\n    ")
-    clean = len(jobs) - len(chosen)
-    print(f"\nsilently wrong: {silent}; false warnings on {false} of {clean} clean sets")
-    passed = silent == 0 and false <= FALSE_ALARMS * clean
+    print(f"\nsilently wrong: {silent}; false warnings on {false} of {len(clean)} clean sets")
+    passed = silent == 0 and false <= FALSE_ALARMS * len(clean)
     print("PASSED" if passed else "FAILED")
     return 0 if passed else 1

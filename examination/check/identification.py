@@ -141,19 +141,10 @@ def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
 
 # --- Comparison of estimates and true values.
 BAND = (0.88, 0.99)
-HEADER = """\
-identification of {draws} benches drawn at random (seed {seed})
-  bags of each: {bags}
-  instruments of the simulator node: noise, quantisation, jitter of +-20 % of a period, 2 % lost
-  inputs of the lab, taken as exact: {exact}
-"""
-
-
 def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("identification", __doc__, argv, draws=(50, "benches"),
                          seed=(0, "of the first bench"), **IN_PIECES)
-    bags, exact = ", ".join(EXPERIMENTS), ", ".join(EXACT)
-    print(HEADER.format(draws=options.draws, seed=options.seed, bags=bags, exact=exact))
+    print(f"inputs of the lab, taken as exact: {', '.join(EXACT)}; bags: {', '.join(EXPERIMENTS)}")
     jobs = [(options.seed + k,) for k in range(options.draws)]
     results = in_pieces(run_draw, jobs, options)
     found = [(name, (p["value"] - p["truth"]) / p["std"])

@@ -35,8 +35,8 @@ BENCHES = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("loads", __doc__, argv, benches=(20, "of each load"),
                          seed=(0, "of the first bench"), load=(LOADS, "which loads"),
-                         hard=(False, "and worse"), **IN_PIECES,
-                         rich=(False, "with latent heat, convection, R(xi)"))
+                         rich=(False, "with latent heat, convection, R(xi)"),
+                         hard=(False, "and worse"), **IN_PIECES)
     kind = "hard" if options.hard else "rich" if options.rich else "mild"
     jobs = [(load, options.seed + k, kind) for load in options.load for k in range(options.benches)]
     return 0 if report(in_pieces(try_bench, jobs, options)) else 1

@@ -4,7 +4,7 @@ Real processes: while they start, from the interpreter's first line on, or while
 is driven and recorded. After Ctrl-C, none may run for more than 3 s, stay in the ROS graph seen by
 another program, or print a traceback. Ten seconds per group on two idle cores.
 
-    ./bench check stops --groups 250 [--only experiment serial_bridge] --json stops.json
+    ./bench check stops --groups 250 --json stops.json
 """
 
 import random
@@ -51,9 +51,8 @@ _OWN = {"experiment": {"protocol": "composite_triangle", "autostart": "true"},
 def main(argv: Sequence[str] | None = None) -> int:
     """0 if all ended in time, left the ROS graph and printed no traceback."""
     options = options_of("stops", __doc__, argv, groups=(250, f"of {GROUP} nodes"),
-                         seed=(1, "of all"), only=(tuple(NODES), "of these nodes"),
-                         **IN_PIECES | {"processes": (1, "at once")})
-    jobs = [(options.seed, number, GROUP, tuple(options.only)) for number in range(options.groups)]
+                         seed=(1, "of all"), **IN_PIECES | {"processes": (1, "at once")})
+    jobs = [(options.seed, number, GROUP) for number in range(options.groups)]
     stops = [one for group in in_pieces(stopped, jobs, options) for one in group]
     rows, wrong = [], [one for one in stops if one["wrong"]]
     for name in (*NODES, "all"):
@@ -67,8 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if wrong else 0
 
 
-def stopped(seed: int, number: int, size: int,
-            only: Sequence[str] = tuple(NODES)) -> list[dict[str, Any]]:
+def stopped(seed: int, number: int, size: int) -> list[dict[str, Any]]:
     """Stop time and errors of each node of a group; every other group is stopped at its start."""
     rng, while_starting = random.Random(f"{seed}/{number}"), number % 2 == 0
     private_ros_environment()
@@ -76,7 +74,7 @@ def stopped(seed: int, number: int, size: int,
           tempfile.TemporaryDirectory(prefix="sma_bench_stops_") as name):
         folder = Path(name)
         processes = {name: _started(name, folder)
-                     for name in rng.sample(sorted(only), min(size, len(only)))}
+                     for name in rng.sample(sorted(NODES), size)}
 
         def ready() -> dict[str, bool]:
             return {name: "ready" in (folder / f"{name}.log").read_text(errors="replace")

@@ -5,7 +5,7 @@ allows by `allowed.*`, or half of that. The table counts excursions, in weeks of
 that would be alarms at lower limits of surprise and at the twin's own; the true rate is below the
 last column with 95 % confidence (Poisson). A week with all drifts takes ten minutes.
 
-    ./bench check twin_alarms [--weeks 8] [--seed 1] [--drift 1 --time 200]
+    ./bench check twin_alarms [--weeks 8] [--seed 1]
 """
 
 import math
@@ -29,6 +29,7 @@ WEEK, MINUTE = 7 * 24 * 3600.0, round(60.0 / BIN)  # s, bins
 EVERY = 5  # bins between two verdicts
 LIMITS = (4.0, 4.5, 5.0, SURPRISING)
 TIMES = (3.0, 10.0, 30.0, 200.0)  # s, correlation times of the drift
+DRIFTS = (0.5, 1.0)  # of what is allowed
 STARTS = 1000
 MOST = 1.0  # alarms per bench and week
 STEPS = (0.75, 1.5, 2.0, 3.0, 5.0)  # K
@@ -106,17 +107,15 @@ def delays(random: np.random.Generator, step: float, drift: float, time: float,
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 if, with 95 % confidence, no allowed drift causes more than one alarm per week."""
-    options = options_of(
-        "twin_alarms", __doc__, argv, weeks=(8, "of a bench, of every kind of drift"),
-        seed=(1, "of all"), time=(TIMES, "s, of the drift"),
-        drift=((0.5, 1.0), "share of what is allowed; with --time one row, for more weeks of it"))
+    options = options_of("twin_alarms", __doc__, argv, seed=(1, "of all"),
+                         weeks=(8, "of a bench, of every kind of drift"))
     random = np.random.default_rng(options.seed)
     print(f"alarms a week, of {options.weeks} weeks of a bench with {SIGNALS} signals; the twin's "
           f"limit is {SURPRISING:g}")  # fmt: skip
     print("drift [allowed]  time [s]  " + "  ".join(f"limit {limit:3g}" for limit in LIMITS)
           + "  at most (95 %)")  # fmt: skip
     worst = 0.0
-    for share, time in product(options.drift, options.time):
+    for share, time in product(DRIFTS, TIMES):
         counts = np.zeros(len(LIMITS), int)
         for _ in range(options.weeks * SIGNALS):
             week = residuals(random, round(WEEK / BIN), share * ALLOWED, time)
@@ -127,7 +126,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         cells = "  ".join(f"{count / options.weeks:9.3g}" for count in counts)
         print(f"{share:15g}  {time:8g}  {cells}  {bound:14.2f}", flush=True)
     print(f"\nof {STARTS} starts of a signal, those with an alarm in the first minute")
-    for time in options.time:
+    for time in TIMES:
         starts = (residuals(random, MINUTE, ALLOWED, time) for _ in range(STARTS))
         found = sum(math.isfinite(delay_of_gap(start, 0)) for start in starts)
         print(f"{1.0:15g}  {time:8g}  {found:9d}", flush=True)

@@ -30,7 +30,7 @@ def silent(result):
 )
 def test_a_wrong_number_is_within_its_error_or_warned_about(name):
     (attack,) = [a for a in ATTACKS if name == f"{a.experiment} {a.name}"]
-    result = attacks.run_attack(attack, [0])[0]
+    result = attacks.run("attack", ATTACKS.index(attack), 0)
     assert result["numbers"] or result["refused"]
     assert silent(result) == []
     if name.endswith("half filled") and name.startswith("E1"):  # only affected numbers
