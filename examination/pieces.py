@@ -18,20 +18,21 @@ from scipy.stats import chi2
 
 from sma_bench.parameters.yaml_file import write_text_atomically
 
-PROCESSES, Z_95 = 2, 1.959964
+Z_95 = 1.959964
 _PATIENCE = 30.0
 _SAVED_EVERY = 5.0  # s
-IN_PIECES = {
-    "processes": (PROCESSES, "at once"),
+AT_ONCE = {"processes": (2, "at once")}
+IN_PIECES = AT_ONCE | {
     "json": (Path, "keep every result in this file as it comes; what is in it is not done again")}
 
 
 def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
                **own: tuple[Any, str]) -> argparse.Namespace:
-    """Parsed options of `./bench check NAME`; `in_pieces` needs IN_PIECES among them. `own`:
-    (default, help) of each; default False: a flag; a tuple: several values, texts are the only
-    choices; a type: no default; ...: the first argument; a list: arguments, each one of these."""
-    parser = argparse.ArgumentParser(prog=f"./bench check {name}", description=doc)
+    """Parsed options of `./bench check NAME`. `own`: (default, help) of each; default False: a
+    flag; a tuple: several values, texts are the only choices; a type: no default; ...: the first
+    argument; a list: arguments, each one of these."""
+    prog = "./bench perf" if name == "perf" else f"./bench check {name}"
+    parser = argparse.ArgumentParser(prog=prog, description=doc)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     for option, (default, text) in own.items():
         if default is ... or isinstance(default, list):
@@ -54,12 +55,13 @@ def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
 
 def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
               options: argparse.Namespace) -> list[Any]:
-    """The results (plain JSON) of all jobs, which are arguments of a module's `run`, in order."""
-    kept: dict[str, Any] = {}
-    if options.json and options.json.is_file():
-        kept = json.loads(options.json.read_text())
+    """The results (plain JSON) of all jobs, which are arguments of a module's `run`, in order.
+    `options` with AT_ONCE or IN_PIECES."""
+    file, kept = getattr(options, "json", None), dict[str, Any]()
+    if file and file.is_file():
+        kept = json.loads(file.read_text())
         if not isinstance(kept, dict):
-            raise SystemExit(f"{options.json}: holds no results of this check")
+            raise SystemExit(f"{file}: holds no results of this check")
     due = [job for job in jobs if str(job) not in kept]
     workers = joblib.Parallel(min(options.processes, len(due)) or 1,
                               return_as="generator_unordered")
@@ -69,8 +71,8 @@ def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
         kept[str(job)], now = result, time.monotonic()
         if now - stored > _SAVED_EVERY or done == len(due):
             stored = now
-            if options.json:
-                write_text_atomically(options.json, json.dumps(kept, indent=1) + "\n")
+            if file:
+                write_text_atomically(file, json.dumps(kept, indent=1) + "\n")
             left = (now - begun) / done * (len(due) - done)
             print(f"{done}/{len(due)}, {left:.0f} s left", file=sys.stderr, flush=True)
     return [kept[str(job)] for job in jobs]

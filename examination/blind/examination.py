@@ -31,8 +31,7 @@ from sma_bench.records.bag_writer import write_record
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[2]
 RECORD, HOLD_OUT, NOMINAL, EXPERIMENT = "record", "hold_out", "nominal.yaml", "experiment"
-_RESULT, _IMPROVED = "result.json", "improved.yaml"
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 _LOOK_EVERY = 0.02  # s
 TIME_LIMIT = 120.0  # s
 
@@ -52,45 +51,38 @@ class Examinee:
         by now, in a folder that contains only copies, and keep its answer in `place`. Returns why
         it failed, or "". Any fault of the program is a failed answer; OSError: it cannot start."""
         with tempfile.TemporaryDirectory(prefix="bench_") as folder:
-            desk = Path(folder)
+            desk, begin, document, line = Path(folder), time.monotonic(), None, ""
+            result, improved = desk / "result.json", desk / "improved.yaml"
             bags = {f"{EXPERIMENT}_{k}": bag for k, bag in enumerate(experiments, 1)}
             bags = {RECORD: case / RECORD, **bags, HOLD_OUT: case / HOLD_OUT}
             for name, bag in bags.items():
-                # Contents only: links and times of files would show where the case lies and when
-                # it was made.
-                shutil.copytree(bag, desk / name, copy_function=shutil.copyfile)
-                os.utime(desk / name)
+                shutil.copytree(bag, desk / name)
             shutil.copyfile(nominal or case / NOMINAL, desk / NOMINAL)
-            begin, result, improved, line = time.monotonic(), None, None, ""
             try:
                 self._run(desk, [name for name in bags if name != HOLD_OUT])
-                if not (desk / _RESULT).is_file():
+                if not result.is_file():
                     raise InputError("no result was written")
-                document = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
-                answer = files.checked_answer(document, "result")
-                if (desk / _IMPROVED).is_file():
-                    read_parameters(desk / _IMPROVED)
-                    improved = (desk / _IMPROVED).read_text(encoding="utf-8")
+                found = json.loads(result.read_text(encoding="utf-8"))
+                answer = files.checked_answer(found, "result")
+                if improved.is_file():
+                    read_parameters(improved)
                 elif answer.verdict in ("effect", "recalibration"):
                     raise InputError(f"verdict {answer.verdict} without improved parameters")
-                result = document
+                document = found
             except InputError as error:
                 line = str(error).replace(f"{desk}/", "")
             except (ValueError, RecursionError) as error:
                 line = f"result is not JSON: {str(error).splitlines()[0]}"
-        if not self.stopped.is_set():
-            files.keep(place.parent, place.name, result, line, time.monotonic() - begin, improved)
+            if not self.stopped.is_set():
+                text = improved.read_text() if document and improved.is_file() else None
+                files.keep(place.parent, place.name, document, line, time.monotonic() - begin, text)
         return line
 
     def _run(self, desk: Path, records: Sequence[str]) -> None:
         """Run the program in its folder; raises InputError where it gives no answer."""
         command = [*self.program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT, "--json",
-                   _RESULT, "--out", _IMPROVED]
-        # The caller's environment, with one thread a process and without a trace of its folder.
-        paths = [str(PACKAGE_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
-        environment = {k: v for k, v in os.environ.items() if k not in ("OLDPWD", "_")}
-        environment |= dict.fromkeys(_ONE_THREAD, "1")
-        environment |= {"PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
+                   "result.json", "--out", "improved.yaml"]
+        environment = dict(os.environ, PYTHONPATH=str(PACKAGE_ROOT), **_ONE_THREAD)
         limit = self.time_limit * (1 + len(records)) / 2.0  # half of it per record
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
             process = subprocess.Popen(command, cwd=desk, env=environment, text=True,

@@ -13,39 +13,38 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
 
 from host_firmware import build_program
 
-from examination.pieces import options_of
+from examination.pieces import AT_ONCE, in_pieces, options_of
 
-PART, AT_ONCE = 100_000, 2
+PART = 100_000
 LONGEST = 600.0  # s: a part normally takes 10 s; after this it counts as hanging
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("fuzz", __doc__, argv, inputs=(2_000_000, "of hostile bytes"),
-                         seed=(1, "of the first part"))
+                         seed=(1, "of the first part"), **AT_ONCE)
     if shutil.which("cc") is None:
         print("check fuzz: no C compiler (cc) here", file=sys.stderr)
         return 2
-    sizes = [min(PART, options.inputs - begin) for begin in range(0, options.inputs, PART)]
-    seeds = range(options.seed, options.seed + len(sizes))
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(AT_ONCE) as workers:
-        programs = [build_program("fuzz.c", Path(folder))] * len(sizes)
-        counts, said = zip(*workers.map(fuzzed, programs, sizes, seeds), strict=True)
+    with tempfile.TemporaryDirectory() as folder:
+        program = str(build_program("fuzz.c", Path(folder)))
+        parts = [(program, min(PART, options.inputs - begin), options.seed + k)
+                 for k, begin in enumerate(range(0, options.inputs, PART))]
+        counts, said = zip(*in_pieces(fuzzed, parts, options), strict=True)
     tried, drove_on, stopped = map(sum, zip(*counts, strict=True))
     problems = [text for text in said if text]
     print(f"{tried:,} inputs, {drove_on:,} of them while driving and allowed to go on, "
-          f"{stopped:,} ended stopped; {len(problems)} of {len(sizes)} parts failed", *problems,
+          f"{stopped:,} ended stopped; {len(problems)} of {len(parts)} parts failed", *problems,
           sep="\n")
     return 1 if problems else 0
 
 
-def fuzzed(program: Path, inputs: int, seed: int) -> tuple[tuple[int, ...], str]:
+def fuzzed(program: str | Path, inputs: int, seed: int) -> tuple[tuple[int, ...], str]:
     """(inputs, drove on, stopped) of one part, and the error, "" for none."""
     words = [program, str(inputs), str(seed)]
     try:

@@ -20,12 +20,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import joblib
 import numpy as np
 import yaml
 
 import sma_bench
-from examination.pieces import PROCESSES, options_of
+from examination.pieces import AT_ONCE, in_pieces, options_of
 from sma_bench.parameters.yaml_file import write_text_atomically
 
 # --- The results: numbers with tolerances. These functions stay, whatever changes behind the public
@@ -306,12 +305,13 @@ SHOWN = 0.01  # tolerances: smaller changes of a number are not listed
 Result = dict[str, Any]
 
 
-def made(row: Mapping[str, Any], cases: Path) -> Result:
-    """The result of a row of made.yaml; `cases`: folder of sets of development cases by size."""
-    begin, needed = _processor_time(), DATA / row.get("needs", "")
+def made(section: str, name: str, cases: str) -> Result:
+    """A result of made.yaml; `cases`: folder of sets of development cases by size."""
+    row, begin = TASKS[section][name], _processor_time()
+    needed = DATA / row.get("needs", "")
     if not needed.is_dir() and "needs" in row:
         return {"numbers": {}, "seconds": 0.0, "problem": f"skipped: no measured data in {needed}"}
-    arguments = [str(cases / str(row["cases"]))] if "cases" in row else []
+    arguments = [f"{cases}/{row['cases']}"] if "cases" in row else []
     numbers, problem = {}, ""
     try:
         function = globals()[row["function"]]
@@ -345,19 +345,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = options_of(
         "golden", __doc__, argv, sections=(list(SECTIONS), "without one: all but blind60"),
         only=("", "results with this in the name"), write=(False, "keep the numbers as they are"),
-        processes=(PROCESSES, "at once"))
+        **AT_ONCE)
     now: dict[str, dict[str, Result]] = {one: {} for one in options.sections or DAILY}
-    due = [(section, name, row) for section in now for name, row in TASKS[section].items()
-           if options.only in name]
     with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as folder:
-        for number in sorted({row["cases"] for *_, row in due if "cases" in row}):
+        due = [(section, name, folder) for section in now for name in TASKS[section]
+               if options.only in name]
+        for number in sorted({TASKS[section][name].get("cases", 0) for section, name, _ in due}):
             what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number))
-            sma_bench_command("make", *what, "--out", f"{folder}/{number}", module=BLIND)
-        calls = (joblib.delayed(made)(row, Path(folder)) for *_, row in due)
-        results = joblib.Parallel(options.processes, return_as="generator")(calls)
-        for (section, name, _), result in zip(due, results, strict=True):
+            if number:
+                sma_bench_command("make", *what, "--out", f"{folder}/{number}", module=BLIND)
+        for (section, name, _), result in zip(due, in_pieces(made, due, options), strict=True):
             now[section][name] = result
-            print(f"golden: {section}: {name}", file=sys.stderr, flush=True)
     failures = sum(report(section, found, options) for section, found in now.items())
     print("FAILED" if failures else "PASSED")
     return 1 if failures and not options.write else 0

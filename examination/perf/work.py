@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -151,9 +152,8 @@ def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iter
     """Each length (s) in a process of its own, to measure its memory."""
     found = {}
     for name, length in lengths.items():
-        command = [sys.executable, __file__, work, protocol, str(length)]
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        wall, cpu, memory = map(float, said.split())
+        with get_context("spawn").Pool(1) as pool:
+            wall, cpu, memory = pool.apply(one_length, (work, protocol, length))
         most = 6.0 if (work, length) == ("diagnosis", 600.0) else np.inf
         yield Figure(f"{name} at 100 Hz", f"{work}: on the wall", wall, "s", most=most)
         yield Figure(f"{name} at 100 Hz", f"{work}: processor", cpu, "s")
@@ -167,8 +167,8 @@ def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iter
             yield Figure(f"{work} over the length", span, slope, most=LINEAR)
 
 
-def one_length(work: str, protocol: str, length: float) -> None:
-    """Print wall and CPU time [s] and memory [MB] for a protocol repeated to this length."""
+def one_length(work: str, protocol: str, length: float) -> tuple[float, float, float]:
+    """Wall and CPU time [s] and memory [MB] for a protocol repeated to this length."""
     lab = read_parameters(COMPOSITE)
     once = load_protocol(protocol, lab).sample(1.0 / RATE)[1]
     clock = np.arange(int(length * RATE)) / RATE
@@ -180,8 +180,4 @@ def one_length(work: str, protocol: str, length: float) -> None:
     else:
         sma_bench.identify([record], lab, ["E10"])
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(time.perf_counter() - begin, sum(os.times()[:4]) - before, memory)
-
-
-if __name__ == "__main__":
-    one_length(sys.argv[1], sys.argv[2], float(sys.argv[3]))
+    return time.perf_counter() - begin, sum(os.times()[:4]) - before, memory
