@@ -77,7 +77,8 @@ def claims_of(case: Case) -> list[Claim]:
     plain = unknowns_of_records(known, tuple({q: 0 for o in clear for q in o.quantities}))
     wanted = plain.with_effects(found.unknowns.effects)
     x = np.clip(wanted.x_of(found.unknowns.values(found.x)), *wanted.bounds())
-    problem = Problem(clear, found.problem.noise, ()).with_nuisances(wanted.parameters(x))
+    problem = replace(Problem.of(clear), noise=found.problem.noise)
+    problem = problem.with_nuisances(wanted.parameters(x))
     fitted = wanted.values(fit(problem, wanted, x, rounds=2, keep_noise=True).x)
     best = {wanted.names[k]: float(fitted[k]) for k in range(plain.baseline, len(fitted))}
 
