@@ -139,28 +139,26 @@ class Watchdog:
 
 
 class Freshness(Watchdog):
-    """Age of one reading by its stamps, whose clock may differ from this computer's: it is as old
-    as it came later than the promptest one. So what is repeated, delayed or replayed is stale."""
+    """Age of one reading. Only a new stamp counts, and none that came later by more than the
+    timeout, compared with the promptest one: what is repeated, delayed or replayed is stale, while
+    the clock of the stamps may differ from ours."""
 
     def __init__(self, subject: str, timeout: float, aged: bool = True) -> None:
         """`aged`: judge the stamps; else (simulated time) every new one is fresh."""
         super().__init__(timeout)
         self._subject, self._aged, self._stamp = subject, aged, math.nan
-        self._heard, self._least, self._offset = -math.inf, math.inf, 0.0
+        self._heard, self._least, self._offset, self._late = -math.inf, math.inf, 0.0, 0.0
 
     def seen(self, stamp: float, now: float) -> bool:
         """Note a reading acquired at `stamp` s, received at `now` s; True if its stamp is new."""
-        self._least += _CLOCK_DRIFT * (now - self._heard)
-        self._heard = now
-        if stamp == self._stamp:
-            return False
-        self._stamp, age = stamp, now - stamp
-        if not self._aged:
+        least, age = self._least + _CLOCK_DRIFT * (now - self._heard), now - stamp
+        is_new, self._stamp, self._heard = stamp != self._stamp, stamp, now
+        if self._aged:
+            self._least, self._offset = min(least, age), age
+            self._late = age - self._least
+        if is_new and not self._late > self.timeout:
             self.feed(now)
-        elif not math.isnan(age):
-            self._least, self._offset = min(self._least, age), age
-            self.feed(max(self.fed, now - (age - self._least)))
-        return True
+        return is_new
 
     def learn_clock(self) -> None:
         """Forget how prompt readings were: the clock of their stamps may have been set back."""
@@ -169,7 +167,7 @@ class Freshness(Watchdog):
     def doubt(self, most: float) -> str:
         """Report of a timestamp that is more than `most` s off the time of its arrival, or ""."""
         off, side = abs(self._offset), "before" if self._offset > 0.0 else "after"
-        return "" if off <= most else (
+        return "" if not off > most else (
             f"{self._subject} has timestamps {off:.1f} s {side} their arrival: late, replayed, or "
             "of a clock that must be set")
 
@@ -181,11 +179,11 @@ class Freshness(Watchdog):
             return reason
         if not self.expired(now):
             return ""
-        age, limit = f"{now - self.fed:.2f} s", f"limit {self.timeout:g} s"
-        if now - self._heard > self.timeout:
-            return f"stale feedback: nothing new from {self._subject} for {age}, {limit}"
-        return (f"stale feedback: {self._subject} arrives, but its newest timestamp is {age} old, "
-                f"{limit} (reset if its clock was set)")
+        if self._late > self.timeout and now - self._heard <= self.timeout:
+            return (f"stale feedback: {self._subject} arrives {self._late:.2f} s late by its "
+                    f"timestamps, limit {self.timeout:g} s (reset if its clock was set)")
+        return (f"stale feedback: nothing new from {self._subject} for {now - self.fed:.2f} s, "
+                f"limit {self.timeout:g} s")
 
 
 class CommandGate:

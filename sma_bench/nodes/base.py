@@ -28,7 +28,15 @@ from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.yaml_file import stated_names
-from sma_bench.ros.node import LATCHED, READINGS, OneThreadExecutor, OverridableNode
+from sma_bench.ros.node import (
+    LATCHED,
+    NANOSECONDS,
+    READINGS,
+    OneThreadExecutor,
+    OverridableNode,
+    seconds_of,
+    stamp_of,
+)
 
 # Real-time priorities, below the kernel's own threads; the node that drives the device is highest.
 BRIDGE, DRIVER, CAMERA = 12, 11, 10
@@ -115,6 +123,13 @@ class BenchNode(OverridableNode):
         end = time.monotonic() + _LAST_MESSAGES
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
+
+    def taken(self, message: Any) -> float:
+        """Acquisition time of a reading: s of simulated time, else of the monotonic clock."""
+        if self.simulated:
+            return seconds_of(message)
+        age = self.get_clock().now().nanoseconds - stamp_of(message)
+        return time.monotonic() - age / NANOSECONDS
 
     def every(self, seconds: float, act: Callable[[], None]) -> None:
         """Call `act` every so many s of wall time."""

@@ -134,12 +134,12 @@ class ExperimentNode(BenchNode):
 
     def on_power(self, channel: str, message: BatteryState) -> None:
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
-        taken = self._taken(message)
+        taken = self.taken(message)
         self._guard.power(channel, message.voltage, message.current, taken, now, limits)
         self._run.check(now)  # the next reading may hide this one's fault
 
     def on_temperature(self, channel: str, message: Temperature) -> None:
-        kelvin, taken = message.temperature + CELSIUS_ZERO, self._taken(message)
+        kelvin, taken = message.temperature + CELSIUS_ZERO, self.taken(message)
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
         self._guard.temperature(channel, kelvin, taken, now, limits)
         self._run.heard("temperature", channel, kelvin, taken, now)
@@ -148,15 +148,8 @@ class ExperimentNode(BenchNode):
     def on_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
         if position is not None:
-            taken, now = self._taken(message), time.monotonic()
+            taken, now = self.taken(message), time.monotonic()
             self._run.heard("deflection", "", position, taken, now)
-
-    def _taken(self, message: Any) -> float:
-        """Acquisition time of a reading: s of simulated time, else of the monotonic clock."""
-        if self.simulated:
-            return ros.seconds_of(message)
-        age = self.get_clock().now().nanoseconds - ros.stamp_of(message)
-        return time.monotonic() - age / ros.NANOSECONDS
 
     def _on_clock(self, _: TimeJump) -> None:
         """Send one command per period of the simulated clock, as the bench waits for it. A timer of

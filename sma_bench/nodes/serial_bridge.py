@@ -115,8 +115,7 @@ class SerialBridge(BenchNode):
 
     def on_temperature(self, channel: str, message: Temperature) -> None:
         kelvin = message.temperature + CELSIUS_ZERO
-        taken = (ros.stamp_of(message) - self._to_ros) / ros.NANOSECONDS
-        self._kelvin[channel] = kelvin
+        taken, self._kelvin[channel] = self.taken(message), kelvin
         self._guard.temperature(channel, kelvin, taken, time.monotonic(), self._limits)
         self._check()
 

@@ -105,7 +105,7 @@ UNHEARD = "warm waits for it: stale feedback: nothing new from temperature wire"
 
 @pytest.mark.parametrize(("protocol", "wrong", "reason"), [
     (LONG, {"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25"),
-    (LONG, {"frozen": True}, "stale feedback: wire/power arrives, but its newest timestamp"),
+    (LONG, {"frozen": True}, "stale feedback: wire/power arrives 0.5"),
     (LONG, {"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
     (WAITS, {"told": None}, UNHEARD), (WAITS, {"told": lambda _: math.nan}, UNHEARD),
 ])  # fmt: skip
