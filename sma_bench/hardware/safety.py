@@ -154,9 +154,10 @@ class Freshness(Watchdog):
         least, age = self._least + _CLOCK_DRIFT * (now - self._heard), now - stamp
         is_new, self._stamp, self._heard = stamp != self._stamp, stamp, now
         if self._aged:
-            self._least, self._offset = min(least, age), age
+            self._offset = age
+            self._least = least if abs(age) > _OTHER_TIME else min(least, age)
             self._late = age - self._least
-        if is_new and not self._late > self.timeout:
+        if is_new and not (self._late > self.timeout or self.doubt(_OTHER_TIME)):
             self.feed(now)
         return is_new
 
@@ -175,10 +176,10 @@ class Freshness(Watchdog):
         """Why the reading cannot be trusted at `now` s, or ""."""
         if math.isinf(self._heard):
             return f"no feedback: {self._subject} was never received"
-        if reason := self.doubt(_OTHER_TIME):
-            return reason
         if not self.expired(now):
             return ""
+        if reason := self.doubt(_OTHER_TIME):
+            return reason
         if self._late > self.timeout and now - self._heard <= self.timeout:
             return (f"stale feedback: {self._subject} arrives {self._late:.2f} s late by its "
                     f"timestamps, limit {self.timeout:g} s (reset if its clock was set)")
