@@ -20,13 +20,6 @@ TEMPERATURE_MARGIN = 10.0  # K below the limit at which the bench switches off: 
 CURRENT_SHARE = 0.9  # of the limit at which the bench switches off: sensor noise
 
 
-def require(subject: str, name: str, value: float, unit: str = "", zero: bool = False) -> None:
-    """Raises InputError: a number is not positive and finite; with `zero`, 0 is allowed."""
-    if not (0.0 < value < math.inf or (zero and value == 0.0)):
-        expected = "0 or more" if zero else "positive and finite"
-        raise InputError(f"{subject}: {name} is {value}{unit}, expected {expected}")
-
-
 # --- A PI controller with anti-windup, and its tuning rule. sat limits the output and its rate; I
 # has the unit of the output, so that gains can change without a bump.
 #
@@ -45,11 +38,7 @@ class Gains(NamedTuple):
         """Gains for the plant k e^(-theta s)/(tau s + 1) by Skogestad's rule (SIMC, 2003):
         K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). `gain`: k; times in s:
         `time_constant` tau, `delay` theta, `closed_loop_time` tau_c (0: half of tau, or theta if
-        longer; slow enough for T_i = tau, without overshoot). InputError: a number out of range."""
-        require("tuning", "time_constant", time_constant)
-        require("tuning", "gain", abs(gain))
-        require("tuning", "delay", delay, " s", zero=True)
-        require("tuning", "closed_loop_time", closed_loop_time, " s", zero=True)
+        longer; slow enough for T_i = tau, without overshoot)."""
         wanted = (closed_loop_time or max(0.5 * time_constant, delay)) + delay
         return cls(time_constant / (gain * wanted), min(time_constant, 4.0 * wanted))
 
@@ -84,8 +73,7 @@ class PI:
         self._integral = self._output = min(max(output, self.limits.low), self.limits.high)
 
     def step(self, reference: float, measured: float, dt: float, feedforward: float = 0.0) -> float:
-        """The output for the next `dt` s. InputError: a number is not finite, or dt not above 0."""
-        require("PI", "dt", dt, " s")
+        """The output for the next `dt` s. Raises InputError: a number is not finite."""
         error = reference - measured
         if not math.isfinite(error + feedforward):
             given = f"reference {reference}, measured {measured}, feedforward {feedforward}"
@@ -104,9 +92,7 @@ class Heating:
 
     def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
         """Wires start at ambient. `maximum_power` in W, besides the limits of voltage and current
-        (0: only those); `power_rate` in W/s (0: no limit). InputError: a negative number."""
-        require("heating", "maximum_power", maximum_power, zero=True)
-        require("heating", "power_rate", power_rate, zero=True)
+        (0: only those); `power_rate` in W/s (0: no limit)."""
         drive, self._resistance = p["bench.drive"], heated_resistance(p)
         self._supply = p["bench.supply_voltage"] if drive == "duty" else 0.0
         through = p["wire.resistance"] / p["wire.count"]  # ohm, of a channel
@@ -158,25 +144,23 @@ class TemperatureController:
                  closed_loop_time: float = 0.0, maximum_power: float = 0.0,
                  power_rate: float = 0.0) -> None:
         """`period`: s per step. `delay`: s from a temperature to the power that reacts to it; half
-        a period is added. Others: see `Gains.simc`, `Heating`. InputError: one out of range."""
-        require("temperature control", "period", period, " s")
-        self.heating = Heating(parameters, maximum_power, power_rate)
+        a period is added. Others: see `Gains.simc`, `Heating`."""
+        self.heating, self._period = Heating(parameters, maximum_power, power_rate), period
         gain, late = 1.0 / self.heating.loss, 0.5 * period + delay
         self.gains = Gains.simc(gain, self.heating.time_constant, late, closed_loop_time)
         self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
 
-    def step(self, reference: ArrayLike, measured: ArrayLike, dt: float) -> Array:
-        """Voltages (w,) [V] for the next `dt` s. `reference`, `measured`: (w,) K; NaN, or a
-        reference at or below ambient, switches a wire off. InputError: wrong shape or dt."""
+    def step(self, reference: ArrayLike, measured: ArrayLike) -> Array:
+        """Voltages (w,) [V] for the next period. `reference`, `measured`: (w,) K; NaN, or a
+        reference at or below ambient, switches a wire off. InputError: wrong shape."""
         wanted, kelvin = (np.asarray(values, float) for values in (reference, measured))
         expected = (len(self._loops),)
         for name, values in (("reference", wanted), ("measured", kelvin)):
             if values.shape != expected:
                 shapes = f"{values.shape}, expected {expected}"
                 raise InputError(f"temperature control: {name} has shape {shapes}")
-        require("temperature control", "dt", dt, " s")
         power = np.zeros(expected)
-        for i, highest in enumerate(self.heating.highest_power(dt).tolist()):
+        for i, highest in enumerate(self.heating.highest_power(self._period).tolist()):
             goal, now, loop = float(wanted[i]), float(kelvin[i]), self._loops[i]
             if not math.isfinite(goal + now) or goal <= self.heating.ambient:
                 self._loops[i] = None
@@ -186,8 +170,8 @@ class TemperatureController:
                 loop = self._loops[i] = PI(self.gains, limits)
                 loop.take_over(float(self.heating.holding_power(now)))
             loop.limits = limits
-            power[i] = loop.step(goal, now, dt)
-        self.heating.spend(power, dt)
+            power[i] = loop.step(goal, now, self._period)
+        self.heating.spend(power, self._period)
         return self.heating.voltage(power)
 
     @staticmethod
@@ -256,12 +240,10 @@ class DeflectionController:
     """From reference and measured deflection to voltages."""
 
     def __init__(self, parameters: Parameters, period: float, *, delay: float = 0.0,
-                 closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
-                 feedback: bool = True) -> None:
-        """Arguments as `TemperatureController`; `feedback` False: feed-forward only. Raises
-        InputError: the rig does not move, or a number out of range."""
-        require("deflection control", "period", period, " s")
-        self.parameters, self._feedback = parameters, feedback
+                 closed_loop_time: float = 0.0, maximum_power: float = 0.0,
+                 power_rate: float = 0.0) -> None:
+        """Arguments as `TemperatureController`. Raises InputError: the rig does not move."""
+        self.parameters, self._period = parameters, period
         self.heating = Heating(parameters, maximum_power, power_rate)
         loss, late = self.heating.loss, 0.5 * period + delay
         self._sides = [_Side.of(parameters, name, loss) for name in side_names(parameters)]
@@ -272,19 +254,12 @@ class DeflectionController:
         self._ahead = 0.0
         self._loop = PI(self.gains, OutputLimits(0.0, self.heating.maximum_power))
 
-    @property
-    def nominal_deflection(self) -> float:
-        """Deflection [m] of the nominal bench, the reference of the feedback."""
-        return self._nominal.deflection
-
-    def step(self, reference: float, measured: float, dt: float,
-             upcoming: float | None = None) -> Array:
-        """Voltages (w,) [V] for the next `dt` s. `reference` in m, positive to the front;
-        `upcoming`: the same dt later; `measured`: m, NaN: feed-forward only. Raises InputError."""
-        goal = reference if upcoming is None else upcoming
-        if not math.isfinite(reference + goal):
-            raise InputError(f"deflection control: reference is {reference} m, expected finite")
-        require("deflection control", "dt", dt, " s")
+    def step(self, goal: float, measured: float) -> Array:
+        """Voltages (w,) [V] for the next period. `goal`: the reference [m] at its end, positive to
+        the front; `measured`: m, NaN: feed-forward only. InputError: the goal is not finite."""
+        if not math.isfinite(goal):
+            raise InputError(f"deflection control: reference is {goal} m, expected finite")
+        dt = self._period
         side = next((side for side in self._sides if side.sign * goal > 0.0), None)
         if side is not self._active:
             self._active, self._ahead = side, 0.0
@@ -313,8 +288,8 @@ class DeflectionController:
             # Limit the feed-forward first: what it lacks must not wind up the feedback.
             self._ahead = limits.applied(toward, self._ahead, dt)
             nominal[side.wires] = applied[side.wires] = self._ahead
-            if self._feedback and math.isfinite(measured):
-                followed = side.sign * self.nominal_deflection
+            if math.isfinite(measured):
+                followed = side.sign * self._nominal.deflection
                 gain = float(np.interp(followed, *side.schedule[branch]))
                 self._loop.limits = limits
                 self._loop.gains = Gains(self.gains.proportional / gain, self.gains.integral_time)

@@ -83,10 +83,10 @@ class ClosedLoop(OpenLoop):
         wanted, upcoming = (protocol.level(moment).tolist() if self._asked is None else self._asked
                             for moment in (elapsed, elapsed + self._period))
         self._follow(wanted)
-        readings, period = list(self._readings.values()), self._period
+        readings = list(self._readings.values())
         if self._quantity.tip:
-            return list(self._law.step(wanted[0], readings[0], period, upcoming[0]).tolist())
-        return list(self._law.step(wanted, readings, period).tolist())
+            return list(self._law.step(upcoming[0], readings[0]).tolist())
+        return list(self._law.step(wanted, readings).tolist())
 
     def ask(self, asked: Sequence[float], followed: Protocol | None, parameters: Parameters) -> str:
         """Take a reference from the topic, if the run has no end; returns why not, or ""."""

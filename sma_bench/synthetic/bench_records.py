@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +33,7 @@ COMMAND_PERIOD, REST = 0.05, 3.0  # s; s at 0 V before and after a protocol
 PRETENSION = 0.002  # strain at which the wire of E8 is clamped, so that it does not get slack
 _ROUNDING = 1e-6  # of a period
 _FINE_STEP, _PULL_STEP = 0.0025, 0.1  # s: with effects; of a held force
+_CAMERA_NOISE, _CAMERA_STEP = 0.08, 0.1  # K, of the camera that controls E8
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
                "bending", "temperature_reading", "mount", "sag")
 
@@ -189,14 +190,18 @@ def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
     name = "temperature_staircase"
     reference = load_protocol(name, parameters, TEMPERATURE)
     controller = TemperatureController(parameters, COMMAND_PERIOD, delay=COMMAND_PERIOD)
-    closed = run_loop(parameters, lambda bench: np.array(bench.temperature), reference.level,
-                      lambda wanted, read, _: controller.step(wanted, read, COMMAND_PERIOD),
-                      reference.duration, COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1,
-                      seed=seed)
+    bench, random = Bench(parameters), np.random.default_rng(seed)
+    commanded = [np.zeros(len(parameters["bench.channels"]))]  # each acts a period late
+    for k in range(round(reference.duration / COMMAND_PERIOD)):
+        kelvin = np.array(bench.temperature)
+        kelvin = kelvin + _CAMERA_NOISE * random.standard_normal(kelvin.shape)
+        read = np.round(kelvin / _CAMERA_STEP) * _CAMERA_STEP
+        commanded.append(controller.step(reference.level(COMMAND_PERIOD * k), read))
+        bench.advance(commanded[k], COMMAND_PERIOD)
 
     def volts(t: Array) -> Array:
-        index = np.clip(np.round(t / COMMAND_PERIOD).astype(int), 0, len(closed.time) - 1)
-        return closed.voltage[index]
+        index = np.round(t / COMMAND_PERIOD).astype(int)
+        return np.array(commanded[:-1])[np.clip(index, 0, len(commanded) - 2)]
 
     title, clamps = f"synthetic {name} on the simulated clamped wire", Boundary.clamped(-PRETENSION)
     return _record(title, parameters, volts, reference.duration, seed + 1, clamps)
@@ -227,39 +232,3 @@ def _record(title: str, parameters: Parameters, voltage: Callable[[Array], Array
     if clamped:
         found["force"] = found.pop("force")  # but shown last
     return Record(Path(title), 0, found)
-
-
-class ClosedLoopRun(NamedTuple):
-    """A run: reference, actual and measured (n,) or (n, w), voltage (n, w) at time (n,) s."""
-
-    time: Array
-    reference: Array
-    actual: Array
-    measured: Array
-    voltage: Array
-
-
-def run_loop(parameters: Parameters, observe: Callable[[Bench], Array],
-             reference: Callable[[float], ArrayLike],
-             control: Callable[[Array, Array, Array], Array], duration: float,
-             period: float = COMMAND_PERIOD, late: int = 0, noise: float = 0.0,
-             resolution: float = 0.0, seed: int = 1) -> ClosedLoopRun:
-    """Run a controller on a simulated bench, whose `parameters` it may not know.
-
-    `observe`: the controlled quantity of a bench; `reference`: at a time in s; `control`: voltages
-    (w,) for the reference, a reading, and the reference a `period` [s] later; `late`: periods from
-    a reading to its command; `noise`, `resolution`: of a reading, in its unit, 0 for none."""
-    plant, random = Bench(parameters), np.random.default_rng(seed)
-    waiting = [np.zeros(len(parameters["bench.channels"]))] * late
-    time: Array = period * np.arange(round(duration / period), dtype=np.float64)
-    rows: list[tuple[Array, ...]] = []
-    for t in time.tolist():
-        actual = observe(plant)
-        read = actual + noise * random.standard_normal(actual.shape)
-        if resolution > 0.0:
-            read = np.round(read / resolution) * resolution
-        wanted = np.asarray(reference(t), float)
-        waiting.append(control(wanted, read, np.asarray(reference(t + period), float)))
-        rows.append((wanted, actual, read, waiting.pop(0)))
-        plant.advance(rows[-1][-1], period)
-    return ClosedLoopRun(time, *(np.array(column) for column in zip(*rows, strict=True)))

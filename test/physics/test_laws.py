@@ -301,11 +301,11 @@ def test_the_controller_reaches_a_deflection_under_every_law(law):
         "load.kind": "force", "load.force": 3.0, **GRADE, "wire.hysteresis_spread": 0.25,
         "wire.detwinning_start_stress": 5e6,
     }), law)  # fmt: skip
-    control = DeflectionController(rig, 0.02, feedback=False)
+    control = DeflectionController(rig, 0.02)
     wanted = -2.5e-3
     for _ in range(300):
-        control.step(wanted, np.nan, 0.02)
-    assert control.nominal_deflection == pytest.approx(wanted, rel=0.02)
+        control.step(wanted, np.nan)
+    assert control._nominal.deflection == pytest.approx(wanted, rel=0.02)
 
 
 def churchill_chu(diameter, excess, ambient):
