@@ -87,7 +87,7 @@ def run_calibrate(args: SimpleNamespace) -> int:
     if args.out:
         worst = {key: max(v, kept.get(key, 0.0)) if others else v for key, v in stated.items()}
         values = {**kept, **fit.parameters, **worst}
-        write_named_values(args.out, values, "Calibration of the bench's Uno.")
+        write_named_values(args.out, values, "Calibration of the bench's Uno.", args.out)
         print(args.out)
     return 0
 

@@ -91,7 +91,7 @@ class BenchNode(OverridableNode):
                                                  read_only=self.frozen or p.read_only)
             if p.low is not None and p.high is not None:
                 ends = {"from_value": p.low, "to_value": p.high}
-                if p.kind == "integer":
+                if p.kind == "int":
                     descriptor.integer_range = [rcl.IntegerRange(**ends)]
                 else:
                     descriptor.floating_point_range = [rcl.FloatingPointRange(**ends)]

@@ -56,25 +56,26 @@ def _wire(p: Parameters) -> list[Finding]:
     by_area = float(p["wire.surface_area"]) / (math.pi * p["wire.diameter"])
     ratio = by_area / by_mass
     numbers = {"length_from_mass": by_mass, "length_from_area": by_area, "ratio": ratio}
-    if clash := "apart" * (abs(ratio - 1.0) > LENGTH_TOLERANCE):
-        name = "heat_transfer_coefficient"
-        numbers[f"{name}_for_length_from_mass"] = p[f"wire.{name}"] * ratio
-    facts = {"grams": p["wire.mass"] * 1e3, "square": p["wire.surface_area"] * 1e6, "stated": ""}
+    clash, stated = "", ""
     if length := p["wire.length"]:
-        numbers["stated_length"], facts["stated"] = length, f", wire.length is {length:.3f} m"
-        clash = clash or "other" * (abs(length / by_mass - 1.0) > LENGTH_TOLERANCE)
-    lengths = _judged(p, "wire length", clash, numbers, **facts)
+        numbers["stated_length"], stated = length, f", wire.length is {length:.3f} m"
+        clash = "other" if abs(length / by_mass - 1.0) > LENGTH_TOLERANCE else ""
+    if abs(ratio - 1.0) > LENGTH_TOLERANCE:
+        clash, name = "apart", "heat_transfer_coefficient"
+        numbers[f"{name}_for_length_from_mass"] = p[f"wire.{name}"] * ratio
+    lengths = _judged(p, "wire length", clash, numbers, grams=p["wire.mass"] * 1e3,
+                      square=p["wire.surface_area"] * 1e6, stated=stated)
     ohm, (low, high) = p["wire.resistance"], NITI_RESISTIVITY
-    numbers, verdicts = {}, []
+    numbers, verdicts, clash = {}, [], ""
     for name, length in (("mass", by_mass), ("area", by_area)):
         implied = ohm * law.wire_section(p) / length
         numbers[f"resistivity_from_{name}_length"] = implied
-        over = f"over the {length:.3f} m of wire.{name}"
+        clash = clash if low <= implied <= high else "unlike"
         fits = "fits" if low <= implied <= high else "does not fit"
+        over = f"over the {length:.3f} m of wire.{name}"
         verdicts.append(f"{implied * 1e8:.0f} microohm cm {over} ({fits})")
-    text, facts = " and ".join(verdicts), {"ohm": ohm, "low": low * 1e8, "high": high * 1e8}
-    clash = "unlike" if "does not" in text else ""
-    return [lengths, _judged(p, "resistivity", clash, numbers, verdicts=text, **facts)]
+    return [lengths, _judged(p, "resistivity", clash, numbers, verdicts=" and ".join(verdicts),
+                             ohm=ohm, low=low * 1e8, high=high * 1e8)]
 
 
 def _against(p: Parameters, subject: str, name: str, value: float, low: float, high: float,
@@ -114,11 +115,13 @@ def _material(p: Parameters) -> list[Finding]:
     clashes = [f"{upper} lies {kelvin[upper] - kelvin[lower]:.2f} K above {lower}"
                for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
                if kelvin[upper] >= kelvin[lower]]
-    numbers, text = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
-    order = _judged(p, "transition order", "overlap" * bool(text), numbers, clashes=text, **kelvin)
+    overlap = {"overlap": kelvin["M_s"] - kelvin["A_s"]}
+    order = _judged(p, "transition order", "overlap" if clashes else "", overlap,
+                    clashes=", ".join(clashes), **kelvin)
     low, high, theta = (p[f"wire.{name}"] for name in (
         "martensite_modulus", "austenite_modulus", "thermal_expansion_factor"))
-    moduli = _judged(p, "moduli", "swapped" * (low > high), {"martensite": low, "austenite": high})
+    moduli = _judged(p, "moduli", "swapped" if low > high else "",
+                     {"martensite": low, "austenite": high})
     soft, stiff = NITI_EXPANSION[0] * low, NITI_EXPANSION[1] * high
     numbers = {"thermal_expansion_factor": theta, "alpha_E_low": soft, "alpha_E_high": stiff}
     clashes, size = [], abs(theta)
@@ -130,9 +133,10 @@ def _material(p: Parameters) -> list[Finding]:
     elif size < soft / CONVECTION_FACTOR:
         numbers["factor"] = size / soft
         clashes.append(f"{size / soft:.2f} times the smallest")
-    facts = {"theta": theta / 1e6, "soft": soft / 1e6, "stiff": stiff / 1e6}
-    clash, text = "clash" if clashes else "", ", ".join(clashes)
-    return [order, moduli, _judged(p, "thermal expansion", clash, numbers, clashes=text, **facts)]
+    expansion = _judged(p, "thermal expansion", "clash" if clashes else "", numbers,
+                        clashes=", ".join(clashes), theta=theta / 1e6, soft=soft / 1e6,
+                        stiff=stiff / 1e6)
+    return [order, moduli, expansion]
 
 
 def _drive_and_load(p: Parameters) -> list[Finding]:
@@ -153,9 +157,10 @@ def _drive_and_load(p: Parameters) -> list[Finding]:
         grown = math.expm1(growth) / growth if growth else 1.0
         stress, most = force / section, (force + p["load.stiffness"] * grown * stroke) / section
         shift = most / p["wire.stress_influence_austenite"]
-        clash = "slips" if most > NITI_STRENGTH else "few cycles" * (most > NITI_WORKING_STRESS)
+        clash = "few cycles" if most > NITI_WORKING_STRESS else ""
+        clash = "slips" if most > NITI_STRENGTH else clash
         numbers = {"force": force, "stress": stress, "stress_at_full_stroke": most, "shift": shift}
-        facts = {"strength": NITI_STRENGTH / 1e6, "working": NITI_WORKING_STRESS / 1e6}
-        facts |= {"rest": stress / 1e6, "full": most / 1e6, "stroke": stroke * 1e3}
-        found.append(_judged(p, "force", clash, numbers, **facts))
+        found.append(_judged(p, "force", clash, numbers, strength=NITI_STRENGTH / 1e6,
+                             working=NITI_WORKING_STRESS / 1e6, rest=stress / 1e6,
+                             full=most / 1e6, stroke=stroke * 1e3))
     return found

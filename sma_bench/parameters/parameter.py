@@ -18,14 +18,14 @@ import yaml
 
 from sma_bench.errors import InputError
 
-Kind = Literal["double", "integer", "bool", "string", "strings"]
+Kind = Literal["double", "int", "bool", "string", "string_array"]
 Value = float | int | bool | str | tuple[str, ...]
 _EXPECTED: dict[str, tuple[type | tuple[type, ...], str]] = {
     "double": ((int, float), "a number"),
-    "integer": (int, "a whole number"),
+    "int": (int, "a whole number"),
     "bool": (bool, "true or false"),
     "string": (str, "a string"),
-    "strings": ((list, tuple), "a list of strings"),
+    "string_array": ((list, tuple), "a list of strings"),
 }
 _CELSIUS_RANGE = (-100.0, 200.0)
 _UNIT_SLIPS = (1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
@@ -70,11 +70,14 @@ class Parameter:
         prefix = f"{where}: " if where else ""
         types, expected = _EXPECTED[self.kind]
         fits = isinstance(value, types) and isinstance(value, bool) == (self.kind == "bool")
-        if not fits or (self.kind == "strings" and not all(isinstance(i, str) for i in value)):
-            expected += f" in {self.unit}" if self.unit not in ("", "1") else ""
+        several, unit = self.kind == "string_array", ""
+        if self.unit not in ("", "1"):
+            unit = f" {self.unit}"
+        if not fits or (several and not all(isinstance(i, str) for i in value)):
+            expected += f" in{unit}" if unit else ""
             raise InputError(f"{prefix}{self.name} is {value!r}, expected {expected}")
-        if self.kind not in ("double", "integer"):
-            return tuple(value) if self.kind == "strings" else value  # type: ignore[no-any-return]
+        if self.low is None:  # a text or a bool
+            return tuple(value) if several else value  # type: ignore[no-any-return]
         number: float | int = float(value) if self.kind == "double" else value
         if not math.isfinite(number):
             raise InputError(f"{prefix}{self.name} is {number}, expected a finite number")
@@ -85,17 +88,12 @@ class Parameter:
             hints = {number + 273.15: "is it in degrees Celsius?"}
         elif self.unit == "1" and self.high <= 1.0:
             hints = {0.01 * number: "is it in percent?"}
-        elif self.low != 0.0 or (number > 0.0 and self.unit not in ("", "1")):
-            slip = "times {:g} it would fit: wrong unit prefix?"
-            hints = {number * factor: slip.format(factor) for factor in _UNIT_SLIPS}
+        elif self.low != 0.0 or (number > 0.0 and unit):
+            hints = {number * factor: f"times {factor:g} it would fit: wrong unit prefix?"
+                     for factor in _UNIT_SLIPS}
         hint = next((f" ({hints[x]})" for x in hints if self.low <= x <= self.high), "")
-        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
-        expected = f"expected {self.low:g} to {self.high:g}{unit}"
-        raise InputError(f"{prefix}{self.name} is {number:g}{unit}, {expected}{hint}")
-
-
-_KINDS: Mapping[str, Kind] = {"double": "double", "int": "integer", "bool": "bool",
-                              "string": "string", "string_array": "strings"}  # fmt: skip
+        raise InputError(f"{prefix}{self.name} is {number:g}{unit}, expected {self.low:g} to "
+                         f"{self.high:g}{unit}{hint}")
 
 
 def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]:
@@ -108,7 +106,7 @@ def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]
             found += declared(node, f"{prefix}{name}.")
             continue
         own = {"unit": "", **node}
-        kind, default = _KINDS[own.pop("type")], own.pop("default_value")
+        kind, default = own.pop("type"), own.pop("default_value")
         low, high = own.pop("validation", {}).get("bounds<>", (None, None))
         unit, text, source = (own.pop(key) for key in ("unit", "description", "source"))
         found.append(Parameter(prefix + name, unit, default, text, source, low, high, kind=kind,

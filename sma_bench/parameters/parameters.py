@@ -158,8 +158,7 @@ class Parameters(Mapping[str, Value]):
             yield from self._faults_of_law(law)
         for name in OF_NORMAL if law != "normal" else ():
             if self[name] != 0.0:
-                value = f"{name} is {self[name]:g}{' m' * (BY_NAME[name].unit == 'm')}"
-                yield f"{value} with wire.law {law}, expected 0, or law normal"
+                yield f"{name} is {self[name]:g} with wire.law {law}, expected 0, or law normal"
         kind, used = load_kind(self), len(set(sides))
         if kind == "spring" and (stiffness := self["load.stiffness"]) <= 0.0:
             yield f"load.stiffness is {stiffness:g} N/m, expected above 0 with load.kind spring"

@@ -120,13 +120,7 @@ def write_parameters(path: str | Path, parameters: Parameters, comment: str = ""
         values[own], notes[own] = rounded(name, float(stds[name])), _unit(BY_NAME[name])
     above = {p.name: p.description for p in TABLE} if explain else {}
     unstated = chosen - given - {"bench.channels", "bench.channel_sides"}
-    _write(path, values, comment, template, notes, above, unstated)
-
-
-def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str = "") -> None:
-    """Write values by dotted name as a ROS parameter file, whole or not at all; comments of the
-    file that is there stay. Raises InputError: the folder cannot be written."""
-    _write(path, values, comment, template=path)
+    write_named_values(path, values, comment, template, notes, above, unstated)
 
 
 def _unit(p: Parameter) -> str:
@@ -134,8 +128,7 @@ def _unit(p: Parameter) -> str:
 
 
 def _note(p: Parameter, source: str) -> str:
-    number = p.kind in ("double", "integer")
-    return f"{_unit(p)} {p.low:g} to {p.high:g}; {source}" if number else source
+    return source if p.low is None else f"{_unit(p)} {p.low:g} to {p.high:g}; {source}"
 
 
 _UNSTATED = "Nobody stated the values behind a #: uncomment those that you know, with their group."
@@ -180,10 +173,14 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
     return head, above, beside
 
 
-def _write(path: str | Path, named: Mapping[str, Any], comment: str, template: str | Path | None,
-           notes: Mapping[str, str] | None = None, explained: Mapping[str, str] | None = None,
-           unstated: AbstractSet[str] = frozenset()) -> None:
-    """One value a line, `unstated` ones behind a #, with handwritten comments of the template."""
+def write_named_values(path: str | Path, named: Mapping[str, Any], comment: str = "",
+                       template: str | Path | None = None,
+                       notes: Mapping[str, str] | None = None,
+                       explained: Mapping[str, str] | None = None,
+                       unstated: AbstractSet[str] = frozenset()) -> None:
+    """Write values by dotted name as a ROS parameter file, as `write_parameters`: one a line,
+    `notes` next to and `explained` above them, `unstated` ones behind a #."""
+    notes, explained = notes or {}, explained or {}
     head, above, beside = _comments_of(template)
     body: dict[str, Any] = {}
     for name, value in named.items():
@@ -206,12 +203,12 @@ def _write(path: str | Path, named: Mapping[str, Any], comment: str, template: s
                 lines.append(f"{indent}{'# ' if names <= unstated else ''}{key}:")
                 write(value, f"{name}.", indent + "  ")
                 continue
-            if explained and name in explained:
+            if name in explained:
                 lines.append(f"{indent}# {explained[name]}")
             text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
-            remarks = [text for text in (beside.get(name), (notes or {}).get(name)) if text]
-            remark = f"  # {_OWN.join(remarks)}" if remarks else ""
-            text = f"{key}: {text.removesuffix('...' + chr(10)).strip()}{remark}"
+            text = f"{key}: {text.removesuffix('...' + chr(10)).strip()}"
+            if remarks := [r for r in (beside.get(name), notes.get(name)) if r]:
+                text += f"  # {_OWN.join(remarks)}"
             lines.append(f"{indent}{'# ' if name in unstated else ''}{text}")
 
     write(body, "", "    ")

@@ -183,5 +183,5 @@ def test_what_was_identified_is_rounded_to_its_error_and_other_comments_stay(pat
     assert "resistance: 2.699  # [ohm] 0.01 to 1000; identified, E1\n" in path.read_text()
     assert "resistance: 0.031  # [ohm]\n" in path.read_text()
     path.write_text(f"{ROOT}    # clamp meter\n    front: 1.0  # Tuesday\n")
-    write_named_values(path, {"front": 2.0, "back": 3.0})
+    write_named_values(path, {"front": 2.0, "back": 3.0}, template=path)
     assert "    # clamp meter\n    front: 2.0  # Tuesday\n    back: 3.0\n" in path.read_text()
