@@ -24,11 +24,6 @@ from sma_bench.report.page import Drawing, Picture, Section, captions, pictured
 from sma_bench.report.tables import Table
 from sma_bench.synthetic.paper_specimens import DSC_CYCLES
 
-EXPERIMENT_FIGURES = {
-    2: ("E1", draw.plateau_picture), 3: ("E2", draw.plateau_picture), 4: ("E3", draw.ramp_picture),
-    5: ("E3", draw.slope_picture), 7: ("E5", draw.dsc_picture), 8: ("E6", draw.upfr_picture),
-    9: ("E7", draw.tensile_picture), 10: ("E8", draw.thermal_expansion_picture),
-}  # fmt: skip
 _OFF, _REST = 0.02, 1.0  # a rest of the composite: at most, of the largest voltage; at least, s
 _PAGE: dict[str, Any] = read_yaml(Path(__file__).with_name("page.yaml"))
 
@@ -221,7 +216,7 @@ def paper_pictures(outcomes: Mapping[str, ExperimentResults], validation: Pictur
         number: [_captioned(picture, number in synthetic, number)]
         for number, picture in ((6, validation), (15, voltage), (16, deflection))
     }
-    for number, (kind, picture_of) in EXPERIMENT_FIGURES.items():
+    for number, (kind, picture_of) in draw.PAPERS_FIGURES.items():
         found[number] = []
         for k, experiment in enumerate(outcomes[kind].experiments, 1):
             picture = _captioned(picture_of(experiment), outcomes[kind].synthetic, number)
@@ -260,7 +255,7 @@ class PaperPage:
         """Sections in the paper's order, with the warnings of the experiments shown."""
         sections = [Section("", [_PAGE["head"]], [str(note) for note in self.notes])]
         for title, numbers, name in _PAGE["sections"]:
-            kinds = {EXPERIMENT_FIGURES[n][0] for n in numbers if n in EXPERIMENT_FIGURES}
+            kinds = {kind for n, (kind, _) in draw.PAPERS_FIGURES.items() if n in numbers}
             findings = dict.fromkeys(f"{finding.subject}: {finding.text}" for kind in kinds
                                      for experiment in self.outcomes[kind].experiments
                                      for finding in experiment.findings

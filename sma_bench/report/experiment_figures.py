@@ -335,10 +335,11 @@ def operating_point_picture(model: Linearised) -> Picture:
                     slope=1e3 * slope, kelvin=kelvin)
 
 
-_PICTURES: dict[str, tuple[Callable[[Experiment], Picture], ...]] = {
-    "E1": (plateau_picture,), "E2": (plateau_picture,), "E3": (ramp_picture, slope_picture),
-    "E5": (dsc_picture,), "E6": (upfr_picture,), "E7": (tensile_picture,),
-    "E8": (thermal_expansion_picture,)}
+# Experiment and picture by figure of the paper.
+PAPERS_FIGURES: dict[int, tuple[str, Callable[[Experiment], Picture]]] = {
+    2: ("E1", plateau_picture), 3: ("E2", plateau_picture), 4: ("E3", ramp_picture),
+    5: ("E3", slope_picture), 7: ("E5", dsc_picture), 8: ("E6", upfr_picture),
+    9: ("E7", tensile_picture), 10: ("E8", thermal_expansion_picture)}
 
 
 def experiment_pictures(experiment: Experiment) -> list[Picture]:
@@ -347,7 +348,7 @@ def experiment_pictures(experiment: Experiment) -> list[Picture]:
         return [constitutive_picture(experiment)]
     if experiment.name in ("E0", "E9", "E10"):  # signals over time; E9: from bags of a load frame
         return bench_fit_pictures(experiment)
-    found = [picture_of(experiment) for picture_of in _PICTURES.get(experiment.name, ())]
+    found = [draw(experiment) for name, draw in PAPERS_FIGURES.values() if name == experiment.name]
     if experiment.name == "E6" and has_diagram(experiment):
         found.append(stress_temperature_picture(experiment))
     return found
