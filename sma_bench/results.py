@@ -4,11 +4,9 @@ are made last, by the templates in `templates/`."""
 
 import json
 import math
-import os
 import shlex
 import textwrap
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -17,7 +15,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from sma_bench.border import printable
 from sma_bench.errors import InputError
-from sma_bench.installation import VERSION
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.parameters.yaml_file import write_text_atomically
 
@@ -151,7 +148,7 @@ class Card(NamedTuple):
 
 def lines_of(template: str, macro: str, *facts: Any) -> list[str]:
     """The lines that a macro of a template renders from facts."""
-    made = str(getattr(_templates(TEMPLATES).get_template(template).module, macro)(*facts))
+    made = str(getattr(_templates().get_template(template).module, macro)(*facts))
     return [" ".join(line.split()) for line in made.splitlines() if line.strip()]
 
 
@@ -182,23 +179,12 @@ def card_rows(result: Any) -> list[list[str]]:
 
 
 @cache
-def _templates(folder: Path) -> "jinja2.Environment":
+def _templates() -> "jinja2.Environment":
     import jinja2  # takes 0.1 s, so only when a result is shown
 
-    class Translated(jinja2.FileSystemBytecodeCache):
-        """Caches compiled templates on disk (compiling takes another 0.1 s), if it is writable."""
-
-        def dump_bytecode(self, bucket: "jinja2.bccache.Bucket") -> None:
-            with suppress(OSError):
-                super().dump_bytecode(bucket)
-
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    kept = user / "sma_bench" / f"templates-{VERSION}"
-    with suppress(OSError):
-        kept.mkdir(parents=True, exist_ok=True)
     environment = jinja2.Environment(  # noqa: S701 (no HTML: pages escape it)
-        loader=jinja2.FileSystemLoader(folder), trim_blocks=True, lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined, bytecode_cache=Translated(str(kept)), auto_reload=False,
+        loader=jinja2.FileSystemLoader(TEMPLATES), trim_blocks=True, lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
         finalize=lambda shown: shown.translate(_NO_BORDERS) if isinstance(shown, str) else shown)
     environment.globals["effects"] = EFFECTS
     environment.filters |= {
@@ -207,7 +193,8 @@ def _templates(folder: Path) -> "jinja2.Environment":
         "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_error": lambda number: with_error(number.value, number.std),
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
-        "or_empty": lambda value, form, unit="": f"{value:{form}}{unit}" * math.isfinite(value)}
+        "or_empty": lambda value, form, unit="":
+            f"{value:{form}}{unit}" if math.isfinite(value) else ""}
     return environment
 
 
@@ -220,24 +207,27 @@ def two_errors(number: Any) -> str:
     return in_unit(f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}", number.unit)
 
 
-def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
+def card_lines(shown: Card, width: float) -> list[str]:
     """Title and rows, folded to `width`, between 40 and 96 characters."""
-    width = max(min(width, _WIDTH), _NARROWEST)
-    lines = textwrap.wrap(printable(shown.title), width)
+    most = int(max(min(width, _WIDTH), _NARROWEST))
+    lines = textwrap.wrap(printable(shown.title), most)
     for label, text in shown.rows:
-        lines += textwrap.wrap(printable(text), width, initial_indent=f"{label:7} ",
+        lines += textwrap.wrap(printable(text), most, initial_indent=f"{label:7} ",
                                subsequent_indent=" " * 8, break_on_hyphens=False)
     return lines
 
 
-def card_text(result: Any, width: int = _WIDTH, asked: Invocation | None = None) -> str:
-    """The card as text of `width` characters; an identification's has a table of numbers."""
+def card_text(result: Any, width: float = math.inf, asked: Invocation | None = None) -> str:
+    """The card as text of `width` characters, at most 96. An identification's has a table of its
+    numbers, which may be wider; where it is wider than `width`, a row of the card per number."""
     shown, rows = card(result, asked), number_rows(result)
     title = card_lines(Card(shown.title, ()), width)
     every = [NUMBER_HEADER, *rows] if rows else []
     columns = [own for own in zip(*every, strict=True) if any(own[1:])]
     padded = [[f"{cell:{max(map(len, own))}}" for cell in own] for own in columns]
     table = [printable("  ".join(row).rstrip()) for row in zip(*padded, strict=True)]
+    if max(map(len, table), default=0) > width:
+        return "\n".join(card_lines(card(result, asked, numbers=True), width))
     return "\n".join([*title, *table, *card_lines(shown, width)[len(title) :]])
 
 
@@ -248,5 +238,5 @@ def number_rows(result: Any) -> list[tuple[str, ...]]:
 
 def card_html(result: Any) -> str:
     """The card as HTML tables, all text escaped."""
-    template = _templates(TEMPLATES).get_template("card.html.j2")
+    template = _templates().get_template("card.html.j2")
     return template.render(card=card(result), header=NUMBER_HEADER, numbers=number_rows(result))

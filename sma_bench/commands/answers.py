@@ -19,7 +19,7 @@ from sma_bench.lifeline import interrupts_held
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import counted, part
 from sma_bench.report.tables import Table, diagnosis_tables
-from sma_bench.results import Invocation, card, card_lines, card_text
+from sma_bench.results import Invocation
 
 if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
@@ -36,7 +36,7 @@ def run_identify(args: SimpleNamespace) -> int:
     from sma_bench.tasks.work import identify_files, write_identified
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
-    stated = parse_stated(args.stated) if args.stated else {}
+    stated = parse_stated(args.stated)
     phases: dict[str, Any] = dict(options.pair("--phase", text, "FILE=martensite or FILE=austenite")
                                   for text in args.phases)
     with terminal.progress("identify") as report:
@@ -47,11 +47,7 @@ def run_identify(args: SimpleNamespace) -> int:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
     # Only bags can be diagnosed next.
     bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
-    asked = _asked(args, bags)
-    console, text = terminal.output_console(), card_text(result, asked=asked)
-    if max(map(len, text.splitlines())) > console.width:  # no room for columns
-        text = "\n".join(card_lines(card(result, asked, numbers=True), console.width))
-    console.print(f"{text}\n", markup=False, soft_wrap=True)
+    terminal.print_card(result, _asked(args, bags))
     terminal.print_findings(result.notes)
     for experiment in result.experiments:
         terminal.say(f"\n{experiment.name} {experiment.title} ({experiment.source})")
@@ -74,14 +70,13 @@ def run_diagnose(args: SimpleNamespace) -> int:
     terminal.write_json(args.json, result.to_json())
     if args.out:
         write_improved(args.out, result, "sma-bench diagnose")
-    console, asked = terminal.output_console(), _asked(args, args.records)
-    console.print(f"{card_text(result, console.width, asked)}\n", markup=False, soft_wrap=True)
+    terminal.print_card(result, _asked(args, args.records))
     for name, table in diagnosis_tables(result).items():
         rows = table.rows[:_CELLS_SHOWN] if name == "where" else table.rows
         terminal.print_table(replace(table, rows=rows))
-        console.print()
+        print()
     for sentence in result.why:
-        console.print(printable(sentence), markup=False)
+        terminal.output_console().print(printable(sentence), markup=False)
     own, audit = fold_audit(result.findings)
     terminal.print_findings([*own, *audit[:1]])
     _write_report(args, result, column, args.records, args.hold_out)
@@ -118,7 +113,7 @@ def run_try(args: SimpleNamespace) -> int:
     kept = {name: (path, options.FILE) for name, path in written.items()}
     options.keep_safe({**kept, "page": (page, options.FOLDER)}, given, args.force)
     parameters = options.parameters_from_options(args)
-    stated = parse_stated(args.stated) if args.stated else {}
+    stated = parse_stated(args.stated)
     make_folder(out)
     for path in written.values():  # no result of an earlier run may remain
         path.unlink(missing_ok=True)
@@ -153,9 +148,8 @@ def run_try(args: SimpleNamespace) -> int:
         written_page = write_collected_report(
             page, title, shown, parameters, args.params or "",
             Made(args.command_line, [*map(str, given)]), None, part(report, _DIAGNOSING, 1.0))
-    console = terminal.output_console()
     for result, own in results.values():
-        console.print(f"{card_text(result, console.width, own)}\n", markup=False, soft_wrap=True)
+        terminal.print_card(result, own)
     if bags and not args.params:
         terminal.say("no --params: without stated parameters no gap was looked for")
     terminal.say(f"page {written_page}")
@@ -261,8 +255,6 @@ def run_investigate(args: SimpleNamespace) -> int:
     from sma_bench.tasks.investigation import HEADER, OPEN, QUANTITIES, TEST, Investigation
 
     options.one_only(args, "simulated", "namespace")
-    if not args.budget > 0.0:
-        raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
     options.claim_outputs([Path(args.folder)])
     case = Investigation(args.folder, args.budget, args.signals or QUANTITIES)
     case.begin(options.parameters_from_options(args), args.records)

@@ -13,7 +13,6 @@ import numpy as np
 
 from sma_bench.border import make_folder, read_yaml
 from sma_bench.commands import options, terminal
-from sma_bench.errors import InputError
 from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
@@ -21,7 +20,6 @@ from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECTS
 from sma_bench.progress import COMPILING, Report, part, shares
 from sma_bench.protocols import load_protocol
 from sma_bench.report.tables import Table, diagnosis_tables
-from sma_bench.results import card_text
 
 # Part 1: short versions of the paper's E1 to E3; mass and size of the wire are given.
 TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
@@ -59,8 +57,6 @@ def run_demo(args: SimpleNamespace) -> int:
     from sma_bench.report.reports import write_identification_report
     from sma_bench.tasks.work import identify_files
 
-    if args.draw is not None and args.draw < 0:
-        raise InputError(f"--draw is {args.draw}, expected 0 or more")
     started, console, speed = time.monotonic(), terminal.output_console(), args.speed
     truth = read_parameters(share_directory() / "config" / "wire_rig.yaml")
     seed, lab = time.time_ns() % 2**31, read_parameters(LAB_FILE)
@@ -130,7 +126,7 @@ def run_demo(args: SimpleNamespace) -> int:
             (LAB_FILE,))
     terminal.write_json(str(gap / "diagnosis.json"), answer)
     diagnosis = diagnosis_from(answer, "diagnosis")
-    console.print(f"{card_text(diagnosis, console.width)}\n", markup=False, soft_wrap=True)
+    terminal.print_card(diagnosis)
     terminal.print_table(diagnosis_tables(diagnosis)["candidates"])
     terminal.say(f"report     {gap_page}\nbags       {gap / 'bags'}\nnodes load {improved}")
     hidden = read_parameters(hidden_file)

@@ -1,6 +1,5 @@
 """Commands for a running bench: start nodes, call services, show the dashboard."""
 
-import math
 import re
 import runpy
 import signal
@@ -20,7 +19,6 @@ NETWORK_OPTION = "--network"
 _LARGEST_ANSWER = 64 * MEGABYTE
 _PRESENCE, _ANSWER = 10.0, 600.0  # s, timeouts for finding a node and for its answer
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
-_LARGEST_PORT = 65535
 
 
 # All arguments after NODE are passed to the node.
@@ -47,8 +45,6 @@ def run_call(args: SimpleNamespace) -> int:
         raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
     if not _NAME.fullmatch(args.service):
         raise InputError(f"call: {args.service!r} is not a ROS name, expected letters, digits, _ /")
-    if args.patience is not None and not 0.0 < args.patience < math.inf:
-        raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
     settings = dict(map(options.named_value, args.settings))
     with options.needs_ros("call"):
         from sma_bench.ros.bench_client import BenchClient
@@ -78,8 +74,6 @@ def run_call(args: SimpleNamespace) -> int:
 @options.command("dashboard")
 def run_dashboard(args: SimpleNamespace) -> int:
     """Serve until SIGINT or SIGTERM. InputError: no ROS 2, no tornado, or the port is in use."""
-    if not 0 <= args.port <= _LARGEST_PORT:
-        raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
     import asyncio
 
     with options.needs_ros("dashboard"):

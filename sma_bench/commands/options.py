@@ -1,5 +1,6 @@
 """Shared by all commands: options as declared in commands.yaml, and the rules for outputs."""
 
+import math
 import re
 import shlex
 import signal
@@ -31,7 +32,6 @@ _BAG_FILE = "metadata.yaml"
 _DECLARED = read_yaml(Path(__file__).with_name("commands.yaml"))
 _LONGEST_PATH = 4096
 _NARROWEST, _WIDEST = 30.0, 500.0  # mm, width of a printed column
-_SMALLEST, _LARGEST = 4.0, 24.0  # pt, font size
 
 results: list[TextIO] = []  # the last: standard output of the running command, for its JSON
 
@@ -60,19 +60,11 @@ class Several(click.Option):
     """An option with one value or more: `--hold-out a b`, or `--hold-out a --hold-out b`."""
 
 
-class Files(click.ParamType):
-    """Files and folders, which the shell completes."""
-
-    name = "path"
-
-    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
-        return [CompletionItem(incomplete, type="file")]
-
-
-class Output(Files):
+class Output(click.Path):
     """A path to write, of one of the kinds above."""
 
     def __init__(self, kind: str) -> None:
+        super().__init__(readable=False)  # `keep_safe` judges what is there
         self.kind = kind
 
 
@@ -89,7 +81,7 @@ class Words(click.ParamType):
         found = resolve_name(self.known) if isinstance(self.known, str) else self.known
         return list(found() if callable(found) else found)
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
         if not self.others and value not in (known := self.words()):
             near = did_you_mean(value, known) or f", expected one of {', '.join(known)}"
             self.fail(f"{value!r}{near}", param, ctx)
@@ -99,7 +91,19 @@ class Words(click.ParamType):
         return [CompletionItem(word) for word in self.words() if word.startswith(incomplete)]
 
 
-_TYPES = {"file": Files(), "float": float, "int": int, "unprocessed": click.UNPROCESSED}
+class Number(click.FloatRange):
+    """A finite number in a range."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return number
+
+
+_TYPES: dict[str, type[click.ParamType]] = {
+    "file": click.Path, "float": Number, "int": click.IntRange,
+    "unprocessed": click.types.UnprocessedParamType}
 
 
 def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
@@ -111,7 +115,7 @@ def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
     elif writes is not None:
         row["type"] = Output(writes)
     elif kind or several or name:
-        row["type"] = _TYPES[kind or "file"]
+        row["type"] = _TYPES[kind or "file"](*row.pop("range", ()))
     if name:
         row |= {"nargs": -1 if "..." in shown else 1, "required": not shown.startswith("[")}
         return Argument([name], metavar=shown, **row)
@@ -223,11 +227,15 @@ def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> in
 
 def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None:
     """Raises InputError: more than one of these options is given, or none if `required`."""
-    given = [name for name in names if getattr(args, name) not in (None, ())]
+    given = [f"--{name}" for name in names if getattr(args, name) not in (None, ())]
     if len(given) > 1 or (required and not given):
-        options = " or ".join(f"--{name.replace('_', '-')}" for name in names)
-        found = " and ".join(f"--{name}" for name in given) or "none"
-        raise InputError(f"{found} given, expected {options}")
+        expected = " or ".join(f"--{name}" for name in names)
+        raise InputError(f"{' and '.join(given) or 'none'} given, expected {expected}")
+
+
+def stated_by(args: SimpleNamespace) -> str:
+    """The parameter file and what --set changes, for the text of a page."""
+    return ", ".join(filter(None, [args.params, *args.overrides]))
 
 
 def parameters_from_options(args: SimpleNamespace) -> "Parameters":
@@ -256,11 +264,10 @@ def named_value(text: str) -> tuple[str, Any]:
 
 
 def column_of(args: SimpleNamespace) -> "PaperColumn | None":
-    """Column width and font of the figures. InputError: a width or font size out of range."""
-    if args.font is not None and (args.column is None or not _SMALLEST <= args.font <= _LARGEST):
-        size = f"{_SMALLEST:g} to {_LARGEST:g} pt"
-        raise InputError(f"--font is {args.font:g} pt, expected {size}, and --column with it")
+    """Column width and font of the figures. InputError: a wrong width, a font without a column."""
     if args.column is None:
+        if args.font is not None:
+            raise InputError(f"--font is {args.font:g} pt, expected --column with it")
         return None
     from sma_bench.report.drawing import COLUMNS  # matplotlib: half a second to load
 
@@ -299,7 +306,7 @@ def provenance_of(args: SimpleNamespace, *inputs: Sequence[str]) -> "Made":
     from sma_bench.report.page import Made
 
     files = [*(path for several in inputs for path in several), getattr(args, "params", None)]
-    return Made(args.command_line, [path for path in files if path])
+    return Made(args.command_line, [*filter(None, files)])
 
 
 # --- Outputs: none replaces an existing file without --force, and none ever replaces an input.

@@ -17,19 +17,18 @@ _READ, _COMPARED = 0.05, 0.5  # the same for the paper: records read; experiment
 
 @options.command("report")
 def run_report(args: SimpleNamespace) -> int:
-    from sma_bench.report.page import Made, versions
+    from sma_bench.report.page import versions
     from sma_bench.report.reports import shown_input, write_collected_report
 
     args.column = args.column or "double"
     parameters, column = options.parameters_from_options(args), options.column_of(args)
-    given = " and ".join([*([args.params] if args.params else []), *args.overrides])
     with progress("report") as report:
-        reading = in_turn(args.inputs, part(report, 0.0, _READING), lambda path: f"reading {path}")
+        reading = in_turn(args.inputs, part(report, 0.0, _READING), "reading {}".format)
         shown = [shown_input(path, k, args.namespace) for k, path in enumerate(reading, 1)]
-        made = Made(args.command_line, [*args.inputs, *filter(None, [args.params])])
-        drawing = part(report, _READING, 1.0)
-        page = write_collected_report(args.out, args.title, shown, parameters, given, made, column,
-                                      drawing)
+        page = write_collected_report(args.out, args.title, shown, parameters,
+                                      options.stated_by(args),
+                                      options.provenance_of(args, args.inputs), column,
+                                      part(report, _READING, 1.0))
     about = {"command": args.command_line, "versions": versions(), "page": str(page)}
     write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
     for one in shown:
@@ -45,7 +44,7 @@ def run_compare(args: SimpleNamespace) -> int:
     from sma_bench.records.overlay import HEADER
     from sma_bench.report.tables import Table
 
-    column = options.column_of(args)
+    numeric, column = frozenset({2, 3, 4, 5}), options.column_of(args)
     if args.signals and not args.out:
         raise InputError("--signals selects what the page shows, expected --out DIR with it")
     with progress("compare") as report:
@@ -53,7 +52,7 @@ def run_compare(args: SimpleNamespace) -> int:
         found = compare([load(path, args.namespace) for path in args.records], args.models)
     write_json(args.json, found.to_json())
     rows = [d.cells() for d in found.differences]
-    print_table(Table(HEADER, rows, frozenset({2, 3, 4, 5})))
+    print_table(Table(HEADER, rows, numeric))
     for name, shift in found.shifts.items():
         if abs(shift) >= _LEAST_SHIFT:
             say(f"{name}: its clock was shifted by {shift:+.3f} s")
@@ -63,7 +62,7 @@ def run_compare(args: SimpleNamespace) -> int:
         from sma_bench.report.page import Section, write_report
         from sma_bench.report.plots import overlay_picture
 
-        table = Table(HEADER, rows, frozenset({2, 3, 4, 5}), "differences", "Largest first")
+        table = Table(HEADER, rows, numeric, "differences", "Largest first")
         picture = overlay_picture(found, "overlay", args.signals)
         sections = [Section("", found.remarks, pictures=[picture]),
                     Section("Differences from the first", tables=[table])]
@@ -84,13 +83,14 @@ def run_paper(args: SimpleNamespace) -> int:
 
     started, made = time.monotonic(), options.provenance_of(args, args.records)
     parameters, column = options.parameters_from_options(args), options.column_of(args)
-    given = ", ".join(args.records)
-    own = ", ".join([*([args.params] if args.params else []), *args.overrides])
-    text = read_yaml(Path(__file__).with_name("paper.yaml"))
-    origin = text["own"].format(given=own) if own else text["synthetic"]
-    summary = text["summary"].format(origin=text["mixed"].format(given=given) if given else origin)
+    text, own = read_yaml(Path(__file__).with_name("paper.yaml")), options.stated_by(args)
+    if args.records:
+        origin = text["mixed"].format(given=", ".join(args.records))
+    else:
+        origin = text["own"].format(given=own) if own else text["synthetic"]
+    summary = text["summary"].format(origin=origin)
     with progress("paper") as report:
-        reading = in_turn(args.records, part(report, 0.0, _READ), lambda path: f"reading {path}")
+        reading = in_turn(args.records, part(report, 0.0, _READ), "reading {}".format)
         records = [open_record(path) for path in reading]
         page = paper_page(records, parameters, part(report, _READ, _COMPARED))
         index = write_report(args.out, text["title"], summary, page.sections(), made, column=column,

@@ -13,7 +13,7 @@ from sma_bench.border import printable
 from sma_bench.commands.options import STANDARD_OUTPUT, results
 from sma_bench.findings import Finding
 from sma_bench.progress import Report
-from sma_bench.results import json_text, write_result
+from sma_bench.results import Invocation, card_text, json_text, write_result
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,6 +56,11 @@ def output_console() -> "Console":
     if not console.is_terminal and "COLUMNS" not in environ:
         console.width = _FOR_FILES
     return console
+
+
+def print_card(result: Any, asked: Invocation | None = None) -> None:
+    """Print the card of a result; `asked`: for its advice on what to do next."""
+    say(f"{card_text(result, output_console().width, asked)}\n")
 
 
 def print_table(table: "Table") -> None:

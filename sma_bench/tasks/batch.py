@@ -23,7 +23,6 @@ from sma_bench.lifeline import end_after, interrupts_held
 from sma_bench.parameters import Parameters
 
 IDENTIFY, DIAGNOSE = "identify", "diagnose"
-_MOST_JOBS = 1024
 _CONNECTING = 3.0  # s, timeout for a dask scheduler
 
 
@@ -76,9 +75,7 @@ def do_tasks(tasks: Sequence[Task], jobs: int,
              cluster: str | None = None) -> Generator[tuple[int, Outcome], None, None]:
     """Yields (index of the task, outcome) as each is done, by `jobs` processes, which end with this
     one, or by the workers of the dask scheduler at `cluster`, which need this package and the same
-    paths. InputError: jobs out of range; the cluster cannot be reached, or is lost."""
-    if not 1 <= jobs <= _MOST_JOBS:
-        raise InputError(f"jobs {jobs}: expected 1 to {_MOST_JOBS}")
+    paths. InputError: the cluster cannot be reached, or is lost."""
     tied = {"initializer": end_after, "initargs": (os.getpid(),)}
     left = dict(enumerate(tasks))
     with _on_cluster(cluster) if cluster else joblib.parallel_config("loky", **tied):
