@@ -104,22 +104,21 @@ def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float]
     for name, size in (effects or {}).items():
         with errors_in(f"effects: {name}"):
             bench = with_effect(bench, name, size)
-    is_path = isinstance(drive, str | Path)
-    protocol = None
+    protocol, is_path = None, isinstance(drive, str | Path)
     if is_path and (drive in protocol_names() or Path(drive).suffix == ".yaml"):
         protocol = load_protocol(drive, bench)
     elif isinstance(drive, Mapping) and "steps" in drive:
         protocol = parse_protocol(drive, bench)
-    stands = protocol is not None or (isinstance(drive, tuple) and len(drive) == 2)
-    if stands and load_kind(bench) == "displacement":
+    arrays = len(drive) if isinstance(drive, tuple) else 0
+    if (protocol or arrays == 2) and load_kind(bench) == "displacement":
         warnings.warn("simulate: no motion is imposed, the elongation is held at 0", stacklevel=2)
-    if protocol is not None:
+    if protocol:
         if not 0.0 < rate <= 10_000.0:
             raise InputError(f"simulate: rate is {rate:g} Hz, expected 0 to 10000")
         return bench_records.simulate_protocol(protocol, bench, 1.0 / rate)
     if isinstance(drive, tuple):
-        if len(drive) not in (2, 3):
-            raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
+        if arrays not in (2, 3):
+            raise InputError(f"simulate: {arrays} arrays given, expected time and voltage")
         try:
             highest = np.abs(np.asarray(drive[1], dtype=np.float64)).max(initial=0.0)
         except (TypeError, ValueError):

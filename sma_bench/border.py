@@ -34,6 +34,7 @@ _LARGEST_INTEGER = 2**63  # the range of ROS parameters and messages
 _LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
 _STILL_HELD = 2.0  # s that a process which is ending may still hold a name
 _PEER = struct.Struct("3i")  # process, user and group at the other end of a socket
+_IRREGULAR = "is a pipe, socket or device, expected a regular file"
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TELLING = (  # characters that are plausible in a logger's file, if decoded rightly
     r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
@@ -82,16 +83,13 @@ def reading_budget(size: int) -> Budget:
 def read_bytes(path: str | Path, largest: int) -> bytes:
     """The content of a regular file (a pipe would block, a device never end). Raises InputError:
     unreadable, not a regular file, or larger than `largest` bytes."""
-    try:
+    with errors_in(f"{path}: cannot read"):
+        if "\0" in str(path):
+            raise InputError("no such file")
         with open(path, "rb", opener=lambda name, how: os.open(name, how | os.O_NONBLOCK)) as file:
-            _require_regular(path, os.fstat(file.fileno()).st_mode)
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise InputError(_IRREGULAR)
             content = file.read(largest + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except InputError:
-        raise
-    except ValueError:  # a zero byte in the name
-        raise InputError(f"{path}: cannot read: no such file") from None
     if len(content) > largest:
         raise InputError(f"{path}: larger than {largest} bytes, expected at most that")
     return content
@@ -122,19 +120,12 @@ def decoded_lines(content: bytes) -> list[str]:
 
 def require_there(path: Path) -> None:
     """Raises InputError: there is neither a regular file nor a folder."""
-    try:
-        mode = path.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a zero byte in it
-        raise InputError(f"{path}: no such file or folder") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    if not stat.S_ISDIR(mode):
-        _require_regular(path, mode)
-
-
-def _require_regular(path: str | Path, mode: int) -> None:
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: is a pipe, socket or device, expected a regular file")
+    with errors_in(f"{path}: cannot be read"):
+        is_there, is_regular = path.exists(), path.is_file() or path.is_dir()
+    if not is_there:
+        raise InputError(f"{path}: no such file or folder")
+    if not is_regular:
+        raise InputError(f"{path}: {_IRREGULAR}")
 
 
 def is_inside(path: Path, folder: Path) -> bool:
@@ -290,7 +281,7 @@ def printable(text: str, keep: str = "") -> str:
 def shown(text: str, longest: int = LONGEST_SHOWN) -> str:
     """Text of a topic for users: in one line, of limited length."""
     line = printable(" ".join(text[: 2 * longest].split()))
-    return line if len(line) <= longest else line[:longest] + "\u2026"
+    return line if len(line) <= longest else f"{line[:longest]}…"
 
 
 def csv_cell(text: str) -> str:

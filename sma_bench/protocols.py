@@ -88,7 +88,7 @@ class Protocol:
     def length(self) -> str:
         if np.isinf(self.duration):
             return "until stopped"
-        return f"{self.duration:g} s{' at most' * self.waits}"
+        return f"{self.duration:g} s at most" if self.waits else f"{self.duration:g} s"
 
     @property
     def waits(self) -> bool:
@@ -123,9 +123,7 @@ class Protocol:
         return np.where(inside[:, None], start + fraction[:, None] * (stop - start), self.rest)
 
     def sample(self, period: float) -> tuple[Array, Array]:
-        """Time (n,) s from 0 past the end, voltage (n, w) V; ValueError: `period` [s] not > 0."""
-        if not period > 0.0:
-            raise ValueError(f"sample period is {period} s, expected more than 0")
+        """Time (n,) s from 0 past the end, every `period` s, and voltage (n, w) V."""
         count = int(np.ceil(self.duration / period - _TIME_ROUNDING)) + 1
         time: Array = np.arange(count, dtype=np.float64) * np.float64(period)
         return time, self.voltages(time)
@@ -201,10 +199,8 @@ TIP = "tip"
 class Quantity(NamedTuple):
     """The kind of a protocol or reference file."""
 
-    what: str  # name of such a file in error messages
-    folder: str  # below config, with those of the package
+    what: str  # name of such a file in error messages; with an s, of its folder below config
     unit: str  # of the levels
-    key: str  # of this kind of document, besides the common ones
     tip: bool = False  # steps drive the tip instead of channels
 
     def targets(self, parameters: Parameters) -> tuple[str, ...]:
@@ -215,14 +211,13 @@ class Quantity(NamedTuple):
         return float(parameters["environment.ambient_temperature"]) if self.unit == "K" else 0.0
 
 
-VOLTAGE = Quantity("protocol", "protocols", "V", "load")
-TEMPERATURE = Quantity("reference", "references", "K", "unit")
-DEFLECTION = Quantity("reference", "references", "m", "unit", tip=True)
+VOLTAGE = Quantity("protocol", "V")
+TEMPERATURE, DEFLECTION = Quantity("reference", "K"), Quantity("reference", "m", tip=True)
 
 
 def protocol_names(quantity: Quantity = VOLTAGE) -> list[str]:
     """Names of the protocols, or references, of the package."""
-    folder = share_directory() / "config" / quantity.folder
+    folder = share_directory() / "config" / f"{quantity.what}s"
     return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
@@ -247,7 +242,7 @@ def load_protocol(name_or_path: str | Path, parameters: Parameters,
             if " " in text:
                 hint = "; steps cannot be given as text, see docs/how_to/own_protocol.md"
             raise InputError(f"{what} {shown(text)}: not one of {names}, no .yaml file{hint}")
-        path = share_directory() / "config" / quantity.folder / f"{text}.yaml"
+        path = share_directory() / "config" / f"{what}s" / f"{text}.yaml"
     return parse_protocol(read_yaml(path), parameters, str(path), path.stem, quantity)
 
 
@@ -261,11 +256,10 @@ def parse_protocol(document: Any, parameters: Parameters, where: str = "", name:
     """A Protocol from the parsed YAML of a protocol or reference. `where` begins every error
     message; `name` is used if the document has none. InputError as `load_protocol`."""
     with errors_in(where or quantity.what):
-        given = document.get("unit") if isinstance(document, dict) else quantity.unit
-        if quantity.key == "unit" and given != quantity.unit:
-            raise InputError(f"unit is {given!r}, expected {quantity.unit}")
-        keys = ("name", "description", "repeat", "steps", quantity.key)
-        _require_keys(document, keys, ("steps",))
+        own = "load" if quantity is VOLTAGE else "unit"
+        _require_keys(document, ("name", "description", "repeat", "steps", own), ("steps",))
+        if own == "unit" and document.get("unit") != quantity.unit:
+            raise InputError(f"unit is {document.get('unit')!r}, expected {quantity.unit}")
         steps, times = document["steps"], _repeat(document)
         if not isinstance(steps, list) or not steps:
             raise InputError("steps: expected a list of one step or more")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from sma_bench.border import make_folder, printable
 from sma_bench.commands import options, terminal
-from sma_bench.commands.records import run_import
+from sma_bench.commands.records import import_tables
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding, fold_audit
 from sma_bench.lifeline import interrupts_held
@@ -171,12 +171,8 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
             tables.append(file)
     for files in [tables] if args.together and tables else [[table] for table in tables]:
         bag = out / Path(files[0]).stem
-        asked = [*files, "--out", str(bag)]
-        for option, values in (("--map", [args.map_file]), ("--params", [args.params]),
-                               ("--unit", args.units)):
-            asked += [word for value in values if value for word in (option, value)]
-        asked += [f"--{name}" for name in ("together", "force") if getattr(args, name)]
-        options.run_command(run_import, "sma-bench try", asked)
+        own = {"files": files, "out": str(bag), "json": None}
+        import_tables(SimpleNamespace(**(vars(args) | own)))
         is_one = (bag / "metadata.yaml").is_file()
         records += map(str, [bag] if is_one else sorted(bag.iterdir()))
     return records

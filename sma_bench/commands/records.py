@@ -44,6 +44,10 @@ def run_info(args: SimpleNamespace) -> int:
 
 @options.command("import")
 def run_import(args: SimpleNamespace) -> int:
+    return import_tables(args)
+
+
+def import_tables(args: SimpleNamespace) -> int:
     """Read all files before writing any bag: if one file is wrong, no bag is written."""
     from sma_bench.parameters import Parameters, read_parameters
     from sma_bench.parameters.parameters import load_kind

@@ -96,9 +96,9 @@ class DashboardServer:
         """Listen; port 0 is any free one. Raises InputError: the address is not available."""
         try:
             sockets = tornado.netutil.bind_sockets(port, host)
-        except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            if getattr(error, "errno", None) == errno.EADDRINUSE:
+        except OSError as error:
+            reason = error.strerror or str(error)
+            if error.errno == errno.EADDRINUSE:
                 reason += "; --port 0 takes any that is free"
             raise InputError(f"dashboard: cannot listen on {host} port {port}: {reason}") from None
         self.access = Access(host)
@@ -269,11 +269,6 @@ class Wires:
         known = bool(self.live) and not self._foreign and self._read.keys() == self.live.keys()
         return known and all(self._off_for(v) >= _STAYS_OFF for v in self.live.values())
 
-    @property
-    def seconds(self) -> float:
-        """From the request to 0 V on every wire."""
-        return max([0.0, *(v.off_since - self._begin for v in self.live.values())])
-
     def sentence(self, asked: bool) -> str:
         """The result for the user; `asked`: stop services of nodes were called."""
         silent = ", ".join(sorted(self.live.keys() - self._read.keys()))
@@ -290,8 +285,9 @@ class Wires:
             return f"Not confirmed: no reading since the request from {silent}. Look at the bench."
         if self.stay_off:
             wires = "the wire" if len(self.live) == 1 else f"all {len(self.live)} wires"
-            after = f"{1e3 * self.seconds:.0f} ms after the request"
-            return f"0 V read on {wires}, {after}, and nothing else for {_STAYS_OFF:g} s."
+            took = max(0.0, *(v.off_since - self._begin for v in self.live.values()))
+            return (f"0 V read on {wires}, {1e3 * took:.0f} ms after the request, and nothing else "
+                    f"for {_STAYS_OFF:g} s.")
         if late:
             ago = f"less than {_STAYS_OFF:g} s ago"
             return f"NOT STOPPED, voltage was on {ago}: {late}. Use the emergency stop."
@@ -306,23 +302,20 @@ async def stop(bench: Any) -> dict[str, Any]:
     """Stop a bench (such as `ros.dashboard.DashboardNode`) and check the result. 0 V is commanded
     until the voltages are gone, so that a commander without a stop service is stopped, too.
     Returns `stopped`: every live wire was read at 0 V and stayed there, and no node reports a
-    flowing current; `said`: a sentence; `seconds` to 0 V or None; `voltages` [V]; `answers`."""
+    flowing current; `said`: a sentence; `voltages` [V]; `answers` of the nodes."""
     clock = bench.state.clock
     begin = commanded = clock()
     before = bench.state.voltages()
     bench.state.stop_asked()
     bench.send_zero()
-    futures, answered = bench.send_stop(), dict[str, float]()
+    futures = bench.send_stop()
     while True:
         voltages, now = bench.state.voltages(), clock()
         before = voltages | before  # for a wire that appeared since: its first reading
         wires = Wires(begin, voltages, before, bench.state.foreign())
-        for node, future in futures.items():
-            if future.done():
-                answered.setdefault(node, round(now - begin, 4))
         no_wires = not wires.live and now > begin + _SILENT
-        is_clear = len(answered) == len(futures) and (wires.stay_off or no_wires)
-        if is_clear or now > begin + _STOP_TIMEOUT:
+        answered = all(future.done() for future in futures.values())
+        if (answered and (wires.stay_off or no_wires)) or now > begin + _STOP_TIMEOUT:
             break
         if wires.unclear and now > commanded + _REPEAT:
             commanded = now
@@ -334,13 +327,11 @@ async def stop(bench: Any) -> dict[str, Any]:
     for node, future in sorted(futures.items()):
         answer = future.result() if future.done() else None
         text = str(answer.message) if answer else "no answer"
-        answers.append({"node": node, "success": bool(answer and answer.success), "message": text,
-                        "seconds": answered.get(node)})
+        answers.append({"node": node, "success": bool(answer and answer.success), "message": text})
     flowing = ", ".join(bench.state.flowing())
     plug = f"PULL THE PLUG: current flows with every output off, reported by {flowing}."
     return {"stopped": wires.stay_off and not flowing,
             "said": plug if flowing else wires.sentence(bool(futures)),
-            "seconds": round(wires.seconds, 4) if wires.stay_off else None,
             "voltages": {place: round(v.volts, 3) for place, v in wires.live.items()
                          if math.isfinite(v.volts)},
             "answers": answers}

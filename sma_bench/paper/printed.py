@@ -58,8 +58,8 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     change = parameters["wire.martensite_modulus"] - parameters["wire.austenite_modulus"]
     limit = parameters["wire.maximum_recoverable_strain"]
     modulus = float(material.modulus(xi, parameters))
-    a2, a3 = ([change * factor * (limit * of_xi + sign * strain) for sign in signs]
-              for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1))))
+    a2 = [change * (limit * (1.0 - 2.0 * xi) + sign * strain) for sign in (-1, 1)]
+    a3 = [change * xi * (limit * xi + sign * strain) for sign in (1, -1)]
     # Eq. (19), heating V^2/R: as printed it cools and adds a number to a voltage. The corrected one
     # is that of the drive: for a duty, V V_supply/R.
     ohm = heated_resistance(parameters)

@@ -82,14 +82,6 @@ def named_rows(ax: Axes, names: Sequence[str]) -> Array:
     return place
 
 
-def cell_texts(ax: Axes, texts: Mapping[tuple[int, int], tuple[str, bool]], size: float) -> None:
-    """Write texts into the cells of a map, by (row, column): text, and whether the cell is dark."""
-    for (row, column), (text, is_dark) in texts.items():
-        ax.text(column, row, text, ha="center", va="center", fontsize=size,
-                color="white" if is_dark else "black")
-    ax.spines[:].set_visible(False)
-
-
 def plain_axes(*axes: Axes) -> None:
     """A faint grid; no frame at the top and right."""
     for ax in axes:

@@ -210,13 +210,12 @@ def digest(path: Path) -> tuple[str, int]:
     with errors_in(f"{path}: cannot be read"):
         inside = sorted(p for p in path.rglob("*") if p.is_file() and border.is_inside(p, path))
         for part in inside if path.is_dir() else [path]:
+            size += part.stat().st_size
             if path.is_dir():
                 head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"
                 total.update(head.encode("utf-8", "surrogateescape"))
             with part.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    total.update(block)
-                    size += len(block)
+                hashlib.file_digest(stream, lambda: total)
     return total.hexdigest(), size
 
 

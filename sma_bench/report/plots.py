@@ -271,8 +271,13 @@ def gap_picture(result: Diagnosis) -> Picture:
         table = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
         shown = np.clip(table, norm.vmin, norm.vmax)
         image = ax.imshow(shown, aspect="auto", cmap="YlOrRd", norm=norm)
-        draw.cell_texts(ax, {cell: (_short(value), float(norm(shown[cell])) > _DARK)
-                             for cell, value in np.ndenumerate(table) if np.isfinite(value)}, 8)
+        for (row, column), value in np.ndenumerate(table):
+            if not np.isfinite(value):
+                continue
+            dark = float(norm(shown[row, column])) > _DARK
+            ax.text(column, row, _short(value), ha="center", va="center", fontsize=8,
+                    color="white" if dark else "black")
+        ax.spines[:].set_visible(False)
         ax.tick_params(length=0)
         ax.set_title(title, fontsize=8)
         ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
@@ -282,11 +287,9 @@ def gap_picture(result: Diagnosis) -> Picture:
 
 
 def _short(value: float) -> str:
-    if abs(value) < 0.05:
-        return "0"
-    if abs(value) < 9.95:
-        return f"{value:.1f}"
-    return f"{value:.0f}" if abs(value) < 9999.5 else f"{value / 1e3:.0f}k"
+    if value < 9.95:
+        return "0" if value < 0.05 else f"{value:.1f}"
+    return f"{value:.0f}" if value < 9999.5 else f"{value / 1e3:.0f}k"
 
 
 def missing_pictures(result: Diagnosis) -> list[Picture]:
@@ -316,19 +319,14 @@ def missing_pictures(result: Diagnosis) -> list[Picture]:
     return pictures
 
 
-# Figures of a result by name; the first is the default.
-_PARTS: dict[type, dict[str, Callable[[Any], Picture | None]]] = {
-    Identification: {"agreement": agreement_picture},
-    Diagnosis: {
-        "signals": lambda result: signal_pictures(result)[0], "where": gap_picture,
-        "evidence": evidence_picture}}
-
-
 def picture_of(thing: Any, *what: str) -> Picture:
     """The figure of a thing, or of its parts `what`. Raises InputError: it has no such part."""
     held: Iterable[str] = ()
     if isinstance(thing, Identification | Diagnosis):
-        parts = _PARTS[Identification if isinstance(thing, Identification) else Diagnosis]
+        parts: dict[str, Callable[[Any], Picture | None]] = {"agreement": agreement_picture}
+        if isinstance(thing, Diagnosis):  # the first is the default
+            parts = {"signals": lambda result: signal_pictures(result)[0], "where": gap_picture,
+                     "evidence": evidence_picture}
         name = what[0] if what else next(iter(parts))
         if name not in parts or len(what) > 1:
             raise InputError(f"plot: {', '.join(what)}, expected one of {', '.join(parts)}")

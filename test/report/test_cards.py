@@ -111,6 +111,7 @@ def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_
         words = (re.sub(r"[^\W\d_]", "ж", t) if kind == "data" else t for _, kind, t in tokens)
         path.write_text("".join(words))
     monkeypatch.setattr(results, "TEMPLATES", other)
+    monkeypatch.setattr(results, "_templates", results._templates.__wrapped__)  # read anew
     for result, one in zip((diagnosed(), identified()), before, strict=True):
         found = json.loads(results.json_text(result.to_json()))
         changed = {key for key in one if one[key] != found[key]}
