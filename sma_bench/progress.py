@@ -31,16 +31,6 @@ def in_turn(items: Sequence[T], report: Report, named: Callable[[T], str]) -> It
         yield item
 
 
-def counted(report: Report, total: int, unit: str) -> Callable[[int], None]:
-    """A reporter that is called with the number done of `total`."""
-
-    def reporter(done: int) -> None:
-        report(done / total if total else 1.0, f"{unit} {min(done + 1, total)} of {total}")
-
-    reporter(0)
-    return reporter
-
-
 def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Shares at which each step begins and ends. `plan`: how long steps take, in any unit."""
     ends = [0.0, *accumulate(plan.values())]

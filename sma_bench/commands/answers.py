@@ -17,7 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding, fold_audit
 from sma_bench.lifeline import interrupts_held
 from sma_bench.parameters.yaml_file import write_text_atomically
-from sma_bench.progress import counted, part
+from sma_bench.progress import part
 from sma_bench.report.tables import Table, diagnosis_tables
 from sma_bench.results import Invocation
 
@@ -197,7 +197,6 @@ def run_batch(args: SimpleNamespace) -> int:
         jobs = len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs
         work = do_tasks(tasks, jobs, args.dask)
         with terminal.progress(f"batch {args.kind}") as report, closing(work):
-            count = counted(report, len(tasks), "record")
             for k, outcome in work:
                 outcomes[k] = outcome
                 if args.out and outcome.result is not None:
@@ -205,7 +204,7 @@ def run_batch(args: SimpleNamespace) -> int:
                     with interrupts_held():  # both files or none
                         terminal.write_json(f"{file}.json", outcome.result)
                         write_text_atomically(f"{file}.yaml", outcome.yaml)
-                count(len(outcomes))
+                report(len(outcomes) / len(tasks), f"{len(outcomes)} of {len(tasks)} records done")
     except (KeyboardInterrupt, InputError) as error:
         if outcomes:
             reason = str(error) if isinstance(error, InputError) else "interrupted"

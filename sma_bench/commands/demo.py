@@ -4,7 +4,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -87,10 +87,10 @@ def run_demo(args: SimpleNamespace) -> int:
                 while process.poll() is None:
                     steps[COMPILING]((time.monotonic() - begin) / _COMPILING, COMPILING)
                     time.sleep(0.1)
-        settings: dict[str, Any] = {"output_directory": ".", **_WEIGHED}
-        bags, found = _recorded_and_asked(
-            out, "/demo", out / "truth.yaml", QUICK, {"speed": speed}, steps,
-            "identification/identify", lambda bags: {**settings, "record": bags})
+        bags = [str((out / "bags" / name).resolve()) for name in QUICK]
+        found = _recorded_and_asked(
+            out, "/demo", out / "truth.yaml", bags, {"speed": speed}, steps,
+            "identification/identify", {"output_directory": ".", **_WEIGHED, "record": bags})
         result = identify_files(bags, Parameters(_WEIGHED))  # again as in the node, for the page
         page = write_identification_report(out / "report", result, steps["report"])
     estimates, rows = found["parameters"], []
@@ -119,11 +119,11 @@ def run_demo(args: SimpleNamespace) -> int:
     gap_page, improved = gap / "report" / "index.html", gap / "improved.yaml"
     with terminal.progress("demo", state):
         simulator = {"speed": speed, **_INSTRUMENTS}
-        files = {"improved": str(improved.resolve()), "report": str(gap_page.parent.resolve())}
-        _, answer = _recorded_and_asked(
-            gap, "/demo_gap", hidden_file, (RECORD, HOLD_OUT), simulator, steps,
-            "diagnosis/diagnose", lambda bags: {"record": bags[:1], "hold_out": bags[1:], **files},
-            (LAB_FILE,))
+        bags = [str((gap / "bags" / name).resolve()) for name in (RECORD, HOLD_OUT)]
+        answer = _recorded_and_asked(
+            gap, "/demo_gap", hidden_file, bags, simulator, steps, "diagnosis/diagnose",
+            {"record": bags[:1], "hold_out": bags[1:], "improved": str(improved.resolve()),
+             "report": str(gap_page.parent.resolve())}, (LAB_FILE,))
     terminal.write_json(str(gap / "diagnosis.json"), answer)
     diagnosis = diagnosis_from(answer, "diagnosis")
     terminal.print_card(diagnosis)
@@ -146,11 +146,11 @@ def run_demo(args: SimpleNamespace) -> int:
     return 0 if all(right.values()) else 1
 
 
-def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Sequence[str],
+def _recorded_and_asked(folder: Path, namespace: str, file: Path, bags: Sequence[str],
                         simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
-                        settings: Callable[[list[str]], Mapping[str, Any]],
-                        files: tuple[Path, ...] = ()) -> tuple[list[str], dict[str, Any]]:
-    """Run protocols on a simulated bench; their bags, and the answer of a node's `service`."""
+                        settings: Mapping[str, Any], files: tuple[Path, ...] = ()) -> Any:
+    """Record a simulated bench: bags, each named after its protocol. Returns the answer of a node's
+    `service`, with parameters `files` and `settings`."""
     node, _, work = service.partition("/")
     with options.needs_ros("demo"):
         from sma_bench.ros.bench_client import BenchClient
@@ -165,8 +165,9 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
         if share := client.progress(node):
             steps[work](*share)
 
-    def record(protocol: str) -> str:
-        duration, begin = load_protocol(protocol, bench).duration, list[float]()
+    def record(bag: str) -> None:
+        protocol, begin = Path(bag).name, list[float]()
+        duration = load_protocol(protocol, bench).duration
 
         def heed(state: str) -> None:
             if state.startswith("running"):
@@ -176,25 +177,24 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
                                 f"{protocol}, {gone:.0f} of {duration:.0f} simulated s")
 
         steps[protocol](0.0, protocol)
-        bag = (folder / "bags" / protocol).resolve()
         client.run_recorded(_PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed,
                             simulated_time=True,
                             needed=["voltage_command", "experiment/marker", *readings])
-        return str(bag)
 
-    driven = {"protocol": protocols[0], "protocol_root": str(_PROTOCOLS), "use_sim_time": True}
+    first, root = Path(bags[0]).name, str(folder.resolve())
+    driven = {"protocol": first, "protocol_root": str(_PROTOCOLS), "use_sim_time": True}
     with (NodeProcesses(namespace, folder / "logs") as nodes,
           BenchClient(namespace, meanwhile=look) as client):
         nodes.start("simulator", {**_RATES, **simulator}, (file,))
         nodes.start("experiment", driven, (file,))
-        bags = [record(protocol) for protocol in protocols]
+        for bag in bags:
+            record(bag)
         for name in ("experiment", "simulator"):  # no longer needed
             nodes.end(name)
-        roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
-        nodes.start(node, {**roots, **settings(bags)}, files)
+        nodes.start(node, {"record_root": root, "output_root": root, **settings}, files)
         steps[work](0.0, work)
         client.follow(node)
-        return bags, json.loads(client.trigger(service, _PATIENCE))
+        return json.loads(client.trigger(service, _PATIENCE))
 
 
 def _deviation(estimate: Mapping[str, Any], true: float) -> float:

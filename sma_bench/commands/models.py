@@ -105,11 +105,9 @@ def run_linearise(args: SimpleNamespace) -> int:
     if args.json:
         space = model.state_space()
         numbers = {n: dict(zip(channels, getattr(point, n).tolist(), strict=True)) for n in _AT}
-        fields = ("equation", "unit", "printed", "corrected", "remark")
-        coefficient = {row.name: {f: getattr(row, f) for f in fields} for row in coefficients}
         write_json(args.json, {
             "operating_point": {"branch": point.branch, "deflection": point.deflection, **numbers},
-            "coefficients": coefficient,
+            "coefficients": {row.name: row._asdict() for row in coefficients},
             "state_space": {
                 "states": [f"{channel}.temperature" for channel in channels],
                 "inputs": [f"{channel}.voltage" for channel in channels],

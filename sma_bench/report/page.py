@@ -44,7 +44,6 @@ class Picture:
     over_time: bool = False
 
     kind: ClassVar[str] = "png"
-    mime: ClassVar[str] = "image/png"
 
     @cached_property
     def content(self) -> bytes:
@@ -94,7 +93,6 @@ class Drawing:
 
     over_time: ClassVar[bool] = False
     kind: ClassVar[str] = "svg"
-    mime: ClassVar[str] = "image/svg+xml"
 
 
 @cache
