@@ -26,7 +26,7 @@ from sma_bench import api
 from sma_bench.cli import COMMANDS, load_command
 from sma_bench.nodes.start import NODES
 from sma_bench.paper.page import paper_errata
-from sma_bench.parameters.node_tables import NODE_TABLES, parameter_table
+from sma_bench.parameters.node_tables import NODE_TABLES, markdown
 
 ROOT = Path(__file__).resolve().parents[2]
 MORE = "More"
@@ -207,7 +207,7 @@ def nodes_page() -> str:
         lines += ["", f"## {node}"]
         for text in told.get(node) or [_first_line(node)]:
             lines += ["", f"{text[:1].upper()}{text[1:].rstrip('.')}."]
-        lines += ["", *parameter_table(table)]
+        lines += ["", *markdown("table", table).splitlines()]
     return "\n".join(lines) + "\n"
 
 

@@ -11,7 +11,7 @@ from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
 from sma_bench.parameters import write_parameters
 from sma_bench.parameters.audit import audit
-from sma_bench.parameters.node_tables import effects_page, parameter_page, range_of
+from sma_bench.parameters.node_tables import markdown, range_of
 from sma_bench.parameters.parameter import EFFECTS, TABLE
 from sma_bench.report.tables import Table, cell_of
 
@@ -50,7 +50,7 @@ def run_parameters(args: SimpleNamespace) -> int:
                for p, source in zip(TABLE, sources, strict=True)]
     write_json(args.json, {"parameters": entries})
     if args.markdown:
-        print(parameter_page(), end="")
+        print(markdown("parameters"), end="")
     elif args.out:
         comment = "Parameters of an SMA bench in SI units.\nLoad with: --ros-args --params-file"
         write_parameters(args.out, parameters, comment, template=args.params or args.out,
@@ -71,7 +71,7 @@ def run_effects(args: SimpleNamespace) -> int:
                for e in EFFECTS.values()]
     write_json(args.json, {"effects": entries})
     if args.markdown:
-        print(effects_page(), end="")
+        print(markdown("effects"), end="")
     else:
         rows = [(e.name, e.stage, range_of(e.size), e.shows) for e in EFFECTS.values()]
         print_table(Table(("effect", "stage", "size", "signs in the data"), rows))

@@ -27,30 +27,18 @@ def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF
             raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *known))}")
 
 
-def _pages() -> Any:
-    """The template pages.md.j2."""
+def markdown(macro: str, *tables: Any) -> str:
+    """A page of pages.md.j2: "parameters", of the contract and of every node, or "effects"; or the
+    "table" of some parameters."""
     import jinja2  # not needed by nodes
 
+    own = {"parameters": (TABLE, NODE_TABLES), "table": tables,
+           "effects": (parameter.EFFECTS, parameter.LOAD_KINDS)}
     environment = jinja2.Environment(  # noqa: S701 (no HTML)
         loader=jinja2.FileSystemLoader(Path(__file__).parent), undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True)
     environment.filters["range"] = range_of
-    return environment.get_template("pages.md.j2").module
-
-
-def parameter_page() -> str:
-    """Markdown page of the contract's parameters and of every node's own."""
-    return str(_pages().parameters(TABLE, NODE_TABLES))
-
-
-def parameter_table(table: tuple[Parameter, ...]) -> list[str]:
-    """Lines of a Markdown table, a row a parameter."""
-    return str(_pages().table(table)).splitlines()
-
-
-def effects_page() -> str:
-    """Markdown page: one line an effect, then every effect's equation, source and numbers."""
-    return str(_pages().effects(parameter.EFFECTS, parameter.LOAD_KINDS))
+    return str(getattr(environment.get_template("pages.md.j2").module, macro)(*own[macro]))
 
 
 def range_of(p: Parameter) -> str:

@@ -9,7 +9,7 @@ import pytest
 import sma_bench
 from sma_bench.cli import main
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
-from sma_bench.parameters.node_tables import effects_page
+from sma_bench.parameters.node_tables import markdown
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.linearised import OperatingPoint, maximum_deflection
 from sma_bench.synthetic.bench_records import signals_of
@@ -48,7 +48,7 @@ def test_effects_are_listed_with_stage_range_and_how_they_show(tmp_path, capsys)
         assert effect.stage in lines[name]
         assert listed[name]["parameters"][0]["name"] == effect.size.name
     assert main(["effects", "--markdown"]) == 0
-    assert capsys.readouterr().out == effects_page()
+    assert capsys.readouterr().out == markdown("effects")
 
 
 @pytest.mark.parametrize(("load", "way"), [("weight", -1.0), ("antagonist", 1.0), (None, 1.0)])

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.node_tables import effects_page
+from sma_bench.parameters.node_tables import markdown
 from sma_bench.parameters.parameter import declared_effects
 from sma_bench.physics import Bench, simulate
 from sma_bench.physics.effects import EFFECTS, active_effects
@@ -156,7 +156,7 @@ def test_without_numba_all_effects_give_the_same_and_one_warning(tmp_path, pytes
 
 
 def test_the_committed_page_of_effects_is_up_to_date(pytestconfig):
-    page = effects_page()
+    page = markdown("effects")
     committed = (pytestconfig.rootpath / "docs" / "effects.md").read_text()
     assert committed == page, "run: ./bench effects --markdown > docs/effects.md"
     for effect in EFFECTS.values():
@@ -194,7 +194,7 @@ WITH_MADE_UP = """
 import sys
 from sma_bench.parameters import Parameters, node_tables, read_parameters
 assert "numba" not in sys.modules, "reading parameters loads the compiler"
-assert "## `made_up`" in node_tables.effects_page()
+assert "## `made_up`" in node_tables.markdown("effects")
 rig = read_parameters(sys.argv[1])
 sys.modules["numba"] = None
 import numpy as np
