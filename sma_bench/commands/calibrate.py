@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from sma_bench.border import MEGABYTE, read_text
 from sma_bench.commands import options
 from sma_bench.commands.terminal import write_json
 from sma_bench.errors import InputError
@@ -54,10 +55,7 @@ def run_calibrate(args: SimpleNamespace) -> int:
     if args.device:
         pairs = list(_measured(name, args.device, args.known))
     elif args.csv:
-        try:
-            lines = Path(args.csv).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as why:
-            raise InputError(f"{args.csv}: cannot read: {why}") from None
+        lines = read_text(args.csv, MEGABYTE).splitlines()
         rows = [(k, r) for k, r in enumerate(csv.reader(lines), 1) if r and r[0][:1] != "#"]
         if rows and not re.match(r"\s*[-+.\d]", rows[0][1][0]):
             del rows[0]  # a header

@@ -43,8 +43,7 @@ def run_example(args: SimpleNamespace) -> int:
 def run_parameters(args: SimpleNamespace) -> int:
     parameters = options.parameters_from_options(args)
     sources = [p.provenance if parameters[p.name] == p.default else "given" for p in TABLE]
-    entries = [{"name": p.name, "unit": p.unit,
-                "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
+    entries = [{"name": p.name, "unit": p.unit, "value": parameters[p.name],
                 "std": parameters.std(p.name) if p.uncertainty is not None else None, "low": p.low,
                 "high": p.high, "description": p.description, "source": source}
                for p, source in zip(TABLE, sources, strict=True)]
