@@ -44,16 +44,15 @@ class Gains(NamedTuple):
 
 
 class OutputLimits(NamedTuple):
-    """Range of the output, and of its rate [1/s]."""
+    """The output lies between 0 and `high`; largest change of it [1/s]."""
 
-    low: float
     high: float
     rate: float = math.inf
 
     def applied(self, output: float, last: float, dt: float) -> float:
         """The output limited in rate, then in range; the range takes precedence over the rate."""
         slowed = min(max(output, last - self.rate * dt), last + self.rate * dt)
-        return min(max(slowed, self.low), self.high)
+        return min(max(slowed, 0.0), self.high)
 
 
 class PI:
@@ -61,16 +60,11 @@ class PI:
 
     def __init__(self, gains: Gains, limits: OutputLimits) -> None:
         self.gains, self.limits = gains, limits
-        self.reset()
+        self.start(0.0)
 
-    def reset(self) -> None:
-        """Reset the state; the output starts at 0, or at the limit nearest to 0."""
-        self.take_over(0.0)
-        self._integral = 0.0
-
-    def take_over(self, output: float) -> None:
-        """Bumpless start: if the control error is 0, the next output is `output`."""
-        self._integral = self._output = min(max(output, self.limits.low), self.limits.high)
+    def start(self, output: float) -> None:
+        """Start anew and without a bump: if the control error is 0, the next output is `output`."""
+        self._integral = self._output = min(max(output, 0.0), self.limits.high)
 
     def step(self, reference: float, measured: float, dt: float, feedforward: float = 0.0) -> float:
         """The output for the next `dt` s. Raises InputError: a number is not finite."""
@@ -165,10 +159,10 @@ class TemperatureController:
             if not math.isfinite(goal + now) or goal <= self.heating.ambient:
                 self._loops[i] = None
                 continue
-            limits = OutputLimits(0.0, highest, self.heating.power_rate)
+            limits = OutputLimits(highest, self.heating.power_rate)
             if loop is None:  # bumpless start of a wire that is warm already
                 loop = self._loops[i] = PI(self.gains, limits)
-                loop.take_over(float(self.heating.holding_power(now)))
+                loop.start(float(self.heating.holding_power(now)))
             loop.limits = limits
             power[i] = loop.step(goal, now, self._period)
         self.heating.spend(power, self._period)
@@ -252,7 +246,7 @@ class DeflectionController:
         self._nominal = Bench(parameters)  # assumed to start at rest
         self._active: _Side | None = None
         self._ahead = 0.0
-        self._loop = PI(self.gains, OutputLimits(0.0, self.heating.maximum_power))
+        self._loop = PI(self.gains, OutputLimits(self.heating.maximum_power))
 
     def step(self, goal: float, measured: float) -> Array:
         """Voltages (w,) [V] for the next period. `goal`: the reference [m] at its end, positive to
@@ -263,7 +257,7 @@ class DeflectionController:
         side = next((side for side in self._sides if side.sign * goal > 0.0), None)
         if side is not self._active:
             self._active, self._ahead = side, 0.0
-            self._loop.reset()
+            self._loop.start(0.0)
         nominal = np.zeros(len(self.parameters["bench.channels"]))
         applied = nominal.copy()
         if side is not None:
@@ -284,7 +278,7 @@ class DeflectionController:
             warm, _ = model.at_contraction(wanted, branch, share)
             toward = float(self.heating.power_toward(warm, kelvin, dt))
             highest = float(self.heating.highest_power(dt)[side.wires].min())
-            limits = OutputLimits(0.0, highest, self.heating.power_rate)
+            limits = OutputLimits(highest, self.heating.power_rate)
             # Limit the feed-forward first: what it lacks must not wind up the feedback.
             self._ahead = limits.applied(toward, self._ahead, dt)
             nominal[side.wires] = applied[side.wires] = self._ahead

@@ -63,7 +63,7 @@ def run_compare(args: SimpleNamespace) -> int:
         from sma_bench.report.plots import overlay_picture
 
         table = Table(HEADER, rows, numeric, "differences", "Largest first")
-        picture = overlay_picture(found, "overlay", args.signals)
+        picture = overlay_picture(found, args.signals)
         sections = [Section("", found.remarks, pictures=[picture]),
                     Section("Differences from the first", tables=[table])]
         *others, last = found.records

@@ -109,7 +109,7 @@ def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Pict
     return pictured("simulation", _over_time(rows), over_time=True, channels=", ".join(channels))
 
 
-def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
+def overlay_picture(found: Overlay, what: Sequence[str] = ()) -> Picture:
     """Per quantity the signal that differs most, or those in `what`: all records, and below them
     their differences from the first. Raises InputError: the records share no such signal."""
     worst: dict[str, str] = {}
@@ -144,7 +144,7 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
         lower.set_ylabel(f"difference [{unit}]")
     draw.legend_above(axes[0][0])
     shifts = ", ".join(f"{n} {s:+.3g} s" for n, s in found.shifts.items() if abs(s) > 1e-3)
-    return pictured("overlay", draw.plain(figure), name, over_time=True,
+    return pictured("overlay", draw.plain(figure), over_time=True,
                     first=next(iter(found.records)),
                     shifts=f" Clocks shifted by the voltages: {shifts}." if shifts else "")
 
@@ -336,7 +336,7 @@ def picture_of(thing: Any, *what: str) -> Picture:
     elif isinstance(thing, Simulation):
         picture, held = simulation_picture(thing, what), _STATES
     else:
-        picture = overlay_picture(thing, "overlay", what)
+        picture = overlay_picture(thing, what)
     if picture is None:
         names = f": it has {', '.join(held)}" if held else ""
         raise InputError(f"plot: no {', '.join(what) or 'signal'} to draw{names}")

@@ -120,20 +120,20 @@ class ReportedInput:
 
 def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
     """Read one input. Raises InputError: it is neither a record nor a result."""
-    name, of_file = f"input_{number}", Path(path)
+    name = f"input_{number}"
     if not path.endswith(".json"):
         record = open_record(path, namespace)
         described = describe(record)
         summary = record_line(described)
         lines = [(f["severity"], f"{f['subject']}: {f['text']}") for f in described["findings"]]
         worth = [f"{path}: {text}" for severity, text in lines if severity != "info"]
-        is_bag, figures = isinstance(record, Record), list[Picture]()
+        kind, figures = "instrument file", list[Picture]()
         if isinstance(record, Record):
+            kind = "bag"
             figures = _present(plots.record_picture(record, f"{name}_signals_over_time"))
         section = Section(f"Record {path}", [f"{summary}."], [": ".join(line) for line in lines],
                           record_tables(described, name), figures)
-        kind = "bag" if is_bag else "instrument file"
-        return ReportedInput(path, kind, summary, section, worth, *digest(of_file))
+        return ReportedInput(path, kind, summary, section, worth, *digest(Path(path)))
 
     result = read_result(path)
     if isinstance(result, Identification):
@@ -158,7 +158,7 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
     (summary,) = sentences(result, "headline")
     worth = [f"{path}: {text}" for text in warnings]
     answer = Section(path, card=card(result, numbers=True))
-    return ReportedInput(path, kind, summary, section, worth, *digest(of_file), answer)
+    return ReportedInput(path, kind, summary, section, worth, *digest(Path(path)), answer)
 
 
 def write_collected_report(directory: str | Path, title: str, shown: Sequence[ReportedInput],

@@ -90,17 +90,17 @@ def lag_response(loop, reference, seconds):
 def test_simc_answers_like_the_wanted_lag_and_leaves_saturation_at_once():
     gains = Gains.simc(gain=6.0, time_constant=0.2, delay=0.005, closed_loop_time=0.1)
     assert gains == (pytest.approx(0.2 / (6.0 * 0.105)), 0.2)
-    y = lag_response(PI(gains, Limits(0.0, 100.0)), 10.0, 2.0)
+    y = lag_response(PI(gains, Limits(100.0)), 10.0, 2.0)
     assert y.max() < 10.1
     assert y[round(0.105 / 0.01)] == pytest.approx(10.0 * (1.0 - math.exp(-1.0)), rel=0.05)
     assert Gains.simc(1.0, 10.0, 0.1, 0.4).integral_time == pytest.approx(2.0)
-    loop = PI(Gains.simc(6.0, 0.2, 0.005), Limits(0.0, 3.0))
+    loop = PI(Gains.simc(6.0, 0.2, 0.005), Limits(3.0))
     assert lag_response(loop, 15.0, 3.0).max() < 15.0 * 1.02
 
 
 @given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=30), st.floats(0.1, 50.0))
 def test_output_never_leaves_its_range_nor_exceeds_its_rate(steps, rate):
-    loop, last = PI(Gains(2.0, 0.3), Limits(0.0, 10.0, rate)), 0.0
+    loop, last = PI(Gains(2.0, 0.3), Limits(10.0, rate)), 0.0
     for reference, measured in steps:
         output = loop.step(reference, measured, 0.05)
         assert 0.0 <= output <= 10.0
@@ -304,7 +304,7 @@ def test_a_bench_with_its_effects_is_followed():
 
 
 def test_a_bad_number_and_a_reference_out_of_reach_are_quoted():
-    loop = PI(Gains(1.0, 1.0), Limits(0.0, 1.0))
+    loop = PI(Gains(1.0, 1.0), Limits(1.0))
     for build, quoted in (
         (lambda: loop.step(math.nan, 0.0, 0.1), "reference nan"),
         (lambda: TemperatureController(WIRE, 0.05).step([1, 2], [1]), r"shape \(2,\)"),
