@@ -75,8 +75,8 @@ class Protocol:
         return np.concatenate([[0.0], np.cumsum([s.duration for s in self.segments])])
 
     @cached_property
-    def _levels(self) -> Array:
-        """(n, 2, w), at the start and the stop of every segment."""
+    def _ends(self) -> Array:
+        """(n, 2, w), levels at the start and the stop of every segment."""
         return np.array([(s.start, s.stop) for s in self.segments], dtype=float)
 
     @property
@@ -106,27 +106,25 @@ class Protocol:
             held.append(held[-1] if segment.force is None else segment.force)
         return np.interp(time, self._edges, held)
 
-    def voltage(self, t: float) -> Array:
-        """Voltages (w,) in V at `t` s; at a jump, the value after it."""
-        return self.voltages(np.array([t], dtype=float))[0]
+    def level(self, t: float) -> Array:
+        """Levels (w,) at `t` s, of a protocol in V; at a jump, the value after it."""
+        return self.levels(np.array([t], dtype=float))[0]
 
-    level = voltage  # for a reference, in K or m
-
-    def voltages(self, time: Array) -> Array:
-        """Voltage (n, w) in V at `time` (n,) in s."""
+    def levels(self, time: Array) -> Array:
+        """Levels (n, w), of a protocol in V, at `time` (n,) in s."""
         time = np.asarray(time, dtype=float) + _TIME_ROUNDING
         inside = (time >= 0.0) & (time < self.duration)
         index = np.searchsorted(self._edges[1:-1], time, side="right")
         first, last = self._edges[index], self._edges[index + 1]
         fraction = np.clip((time - _TIME_ROUNDING - first) / (last - first), 0.0, 1.0)
-        start, stop = self._levels[index].swapaxes(0, 1)
+        start, stop = self._ends[index].swapaxes(0, 1)
         return np.where(inside[:, None], start + fraction[:, None] * (stop - start), self.rest)
 
     def sample(self, period: float) -> tuple[Array, Array]:
         """Time (n,) s from 0 past the end, every `period` s, and voltage (n, w) V."""
         count = int(np.ceil(self.duration / period - _TIME_ROUNDING)) + 1
         time: Array = np.arange(count, dtype=np.float64) * np.float64(period)
-        return time, self.voltages(time)
+        return time, self.levels(time)
 
     def step_at(self, t: float) -> str:
         """Name of the step at `t` s; "" before the start and after the end."""

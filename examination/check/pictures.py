@@ -60,7 +60,7 @@ def live_bench(folder: Path) -> StandIn:
     bench.state = state = live.LiveState(lambda: now[0])
     pairs = (VirtualBench(hidden, settings), live.MEASURED), (VirtualBench(lab, quiet), live.MODEL)
     for k in range(round(SHOWN_AT / PERIOD)):
-        volts = tuple(protocol.voltage(k * PERIOD).tolist())
+        volts = tuple(protocol.level(k * PERIOD).tolist())
         for channel, volt in zip(protocol.channels, volts, strict=True):
             state.reading("voltage", channel, volt, live.COMMANDED)
         for virtual, kind in pairs:

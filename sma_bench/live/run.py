@@ -35,7 +35,7 @@ class OpenLoop:
 
     def volts(self, protocol: Protocol, elapsed: float) -> list[float]:
         """Volts of every channel at `elapsed` s of the run."""
-        return protocol.voltage(elapsed).tolist()
+        return protocol.level(elapsed).tolist()
 
     def heard(self, quantity: str, channel: str, value: float) -> None:
         """A reading: temperature [K] of a channel, deflection [m]."""

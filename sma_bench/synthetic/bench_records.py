@@ -105,7 +105,7 @@ def played(protocol: Protocol, parameters: Parameters, period: float) -> tuple[A
         waiting.heard("deflection", "", bench.deflection_reading, now)
         if now + passed_over < protocol.duration:
             passed_over += waiting.passed_over(now + passed_over, now)
-        rows.append(protocol.voltage(now + passed_over))
+        rows.append(protocol.level(now + passed_over))
         if not protocol.step_at(now + passed_over):
             return np.arange(len(rows), dtype=np.float64) * np.float64(period), np.array(rows)
         for _ in range(parts):
@@ -180,7 +180,7 @@ def protocol_record(name: str, parameters: Parameters, seed: int = 1) -> Record:
     protocol = load_protocol(name, parameters)
     rig = "composite rig" if len(parameters["bench.channels"]) > 1 else "wire rig"
     title, duration = f"synthetic {name} on the simulated {rig}", protocol.duration + 2.0 * REST
-    return _record(title, parameters, lambda t: protocol.voltages(t - REST), duration, seed)
+    return _record(title, parameters, lambda t: protocol.levels(t - REST), duration, seed)
 
 
 def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:

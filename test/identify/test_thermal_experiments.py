@@ -158,7 +158,7 @@ def test_steps_of_a_ramp_at_the_same_place_between_two_readings_are_no_delay(lat
                 read[names[0]].append((reading.time / 1e9, reading.values[0][0]))
             elif reading.kind == "temperature":
                 read[names[1]].append((reading.time / 1e9, reading.values[0] + 273.15))
-        volts = tuple(protocol.voltage(max(command / 20.0 - 1.0, 0.0)).tolist())
+        volts = tuple(protocol.level(max(command / 20.0 - 1.0, 0.0)).tolist())
         read[names[2]].append((at / 1e9, *volts))
     signals = {n: Signal(n, u, *np.array(read[n]).T) for n, u in zip(names, "VKV", strict=True)}
     found = ramps(Record(Path("bag"), 0, signals), parameters=PARAMETERS)

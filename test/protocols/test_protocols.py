@@ -43,12 +43,12 @@ def refused(said, read, *given):
 def test_staircase_and_ramp_are_the_papers():
     protocol = load_protocol("staircase", WIRE)
     assert protocol.duration == pytest.approx(51 * 30.0)
-    levels = protocol.voltages(np.arange(51) * 30.0 + 15.0)[:, 0]
+    levels = protocol.levels(np.arange(51) * 30.0 + 15.0)[:, 0]
     assert levels == pytest.approx(6.25 - 0.25 * np.abs(np.arange(51) - 25))
     assert protocol.step_at(25 * 30.0 + 1.0) == "up 6.25 V"
     protocol = load_protocol("ramp", WIRE)
     assert protocol.duration == pytest.approx(4 * 19.0)
-    volts = protocol.voltages(np.array([3.5, 6.999, 7.0]))[:, 0]
+    volts = protocol.levels(np.array([3.5, 6.999, 7.0]))[:, 0]
     assert volts == pytest.approx([1.35, 2.7, 0.0], abs=1e-3)
     assert [protocol.step_at(19.0 * k) for k in (0, 3)] == ["heat 1 of 4", "heat 4 of 4"]
 
@@ -59,7 +59,7 @@ def test_a_shipped_protocol_begins_and_ends_at_zero_and_stays_within_its_rigs_li
     rig = COMPOSITE if composite else WIRE
     protocol = load_protocol(name, rig)
     time, voltage = protocol.sample(0.05)
-    assert not protocol.voltage(-0.1).any() and not protocol.voltage(protocol.duration).any()
+    assert not protocol.level(-0.1).any() and not protocol.level(protocol.duration).any()
     run = simulate(rig, time, voltage)
     assert 1.0 < run.voltage.max() <= rig["bench.maximum_voltage"]
     assert run.current.max() < rig["bench.maximum_current"]
@@ -84,13 +84,13 @@ def test_a_shipped_protocol_begins_and_ends_at_zero_and_stays_within_its_rigs_li
 
 def test_steps_drive_their_channels_at_their_own_times(tmp_path):
     held = one({"kind": "hold", "level": 3.0, "duration": 2.0, "drive": ["back_1"]}, COMPOSITE)
-    assert held.voltage(1.0) == pytest.approx([0.0, 0.0, 3.0, 0.0])
+    assert held.level(1.0) == pytest.approx([0.0, 0.0, 3.0, 0.0])
     triangle = one({"kind": "triangle", "peak": 6.0, "rise": 2.0, "fall": 4.0})
-    volts = triangle.voltages(np.array([0.0, 1.0, 2.0, 4.0, 5.0]))[:, 0]
+    volts = triangle.levels(np.array([0.0, 1.0, 2.0, 4.0, 5.0]))[:, 0]
     assert volts == pytest.approx([0.0, 3.0, 6.0, 3.0, 1.5])
     stairs = one({"kind": "staircase", "start": 1.0, "stop": 2.0, "increment": 1.0, "dwell": 0.3})
     for late in (sum([0.1] * 3), 0.3 - 1e-12):  # summed periods: 0.30000000000000004; just below
-        assert stairs.voltage(late) == pytest.approx([2.0])
+        assert stairs.level(late) == pytest.approx([2.0])
     path = tmp_path / "cycle.yaml"
     hot = {"kind": "hold", "name": "hot", "level": 2.0, "duration": 1.0, "repeat": 2}
     path.write_text(yaml.safe_dump({"name": "cycle", "repeat": 2, "steps": [hot]}))
