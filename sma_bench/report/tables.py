@@ -43,22 +43,21 @@ def diagnosis_tables(result: "DiagnosisResult") -> dict[str, Table]:
                               title="How far the gap shrinks on held-out data")}
 
 
-def cell_of(value: Any) -> str:
+def cell_of(value: Any, form: str = "") -> str:
+    """A value in a format; without one, a float has six digits."""
+    if isinstance(value, list | tuple):
+        return ", ".join(value)
     if isinstance(value, float):
-        return f"{value:.6g}"
-    return ", ".join(value) if isinstance(value, tuple) else str(value)
+        return format(0.0 if form and abs(value) < _NOTHING else value, form or ".6g")
+    return "" if value is None else format(value, form)
 
 
 def record_tables(described: Mapping[str, Any], name: str = "") -> list[Table]:
     """Tables of a record as returned by `records.describe`; `name` is the prefix of their names."""
     tables = []
     for key, columns in read_yaml(Path(__file__).with_name("records.yaml")).items():
-        rows = []
-        for row in described.get(key) or ():
-            values = [(row[of], form) for of, form in columns.values()]
-            values = [(0.0 if form and v and abs(v) < _NOTHING else v, form) for v, form in values]
-            rows.append(["" if v is None else ", ".join(v) if isinstance(v, list)
-                         else format(v, form) for v, form in values])
+        rows = [[cell_of(row[of], form) for of, form in columns.values()]
+                for row in described.get(key) or ()]
         numeric = frozenset(k for k, (_, form) in enumerate(columns.values()) if form)
         if rows:
             tables.append(Table([*columns], rows, numeric, f"{name}_{key}", key.capitalize()))
