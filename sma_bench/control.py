@@ -67,12 +67,8 @@ class PI:
         self._integral = self._output = min(max(output, 0.0), self.limits.high)
 
     def step(self, reference: float, measured: float, dt: float, feedforward: float = 0.0) -> float:
-        """The output for the next `dt` s. Raises InputError: a number is not finite."""
-        error = reference - measured
-        if not math.isfinite(error + feedforward):
-            given = f"reference {reference}, measured {measured}, feedforward {feedforward}"
-            raise InputError(f"PI: {given}, expected finite numbers")
-        gains = self.gains
+        """The output for the next `dt` s."""
+        error, gains = reference - measured, self.gains
         wanted = feedforward + gains.proportional * error + self._integral
         self._output = self.limits.applied(wanted, self._output, dt)
         self._integral += gains.proportional * error * dt / gains.integral_time
@@ -84,9 +80,10 @@ class Heating:
     """Heating power of the wires as control input: v = sqrt(P R) makes eq. (2) linear. Limited by
     voltage, current and the model's temperature, because an infrared sensor may read too low."""
 
-    def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
-        """Wires start at ambient. `maximum_power` in W, besides the limits of voltage and current
-        (0: only those); `power_rate` in W/s (0: no limit)."""
+    def __init__(self, p: Parameters, period: float, maximum_power: float,
+                 power_rate: float) -> None:
+        """Wires start at ambient. `period`: s per step; `maximum_power` in W, besides the limits of
+        voltage and current (0: only those); `power_rate` in W/s (0: no limit)."""
         drive, self._resistance = p["bench.drive"], heated_resistance(p)
         self._supply = p["bench.supply_voltage"] if drive == "duty" else 0.0
         through = p["wire.resistance"] / p["wire.count"]  # ohm, of a channel
@@ -99,6 +96,7 @@ class Heating:
         self.loss, self.time_constant = heat_loss(p), time_constant(p)  # h A_c [W/K], s
         self.ambient = float(p["environment.ambient_temperature"])
         self.maximum_temperature = p["bench.maximum_temperature"] - TEMPERATURE_MARGIN
+        self._decay = math.exp(-period / self.time_constant)
         # (w,) K, simulated with the powers applied.
         self.temperature = np.full(len(p["bench.channels"]), self.ambient)
 
@@ -111,22 +109,20 @@ class Heating:
         """Powers [W] that hold temperatures [K]."""
         return self.loss * (np.asarray(temperature, float) - self.ambient)
 
-    def power_toward(self, goal: ArrayLike, temperature: ArrayLike, dt: float) -> Array:
-        """Powers [W], of either sign, that lead to `goal` [K] within dt: eq. (2) inverted."""
-        decay = math.exp(-dt / self.time_constant)
-        start = np.asarray(temperature, float)
+    def power_toward(self, goal: ArrayLike, temperature: ArrayLike) -> Array:
+        """Powers [W], of either sign, that lead to `goal` [K] in a period: eq. (2) inverted."""
+        start, decay = np.asarray(temperature, float), self._decay
         return self.holding_power((np.asarray(goal, float) - start * decay) / (1.0 - decay))
 
-    def highest_power(self, dt: float) -> Array:
-        """(w,) W, the limit for the next dt by the supply and the highest temperature."""
-        limit = self.power_toward(self.maximum_temperature, self.temperature, dt)
+    def highest_power(self) -> Array:
+        """(w,) W, the limit for the next period by the supply and the highest temperature."""
+        limit = self.power_toward(self.maximum_temperature, self.temperature)
         return np.clip(limit, 0.0, self.maximum_power)
 
-    def spend(self, power: ArrayLike, dt: float) -> None:
-        """Advance the model's temperatures by dt with powers (w,) [W]: eq. (2)."""
+    def spend(self, power: ArrayLike) -> None:
+        """Advance the model's temperatures by a period with powers (w,) [W]: eq. (2)."""
         steady = self.ambient + np.asarray(power, float) / self.loss
-        decay = math.exp(-dt / self.time_constant)
-        self.temperature = steady + (self.temperature - steady) * decay
+        self.temperature = steady + (self.temperature - steady) * self._decay
 
 
 class TemperatureController:
@@ -139,23 +135,17 @@ class TemperatureController:
                  power_rate: float = 0.0) -> None:
         """`period`: s per step. `delay`: s from a temperature to the power that reacts to it; half
         a period is added. Others: see `Gains.simc`, `Heating`."""
-        self.heating, self._period = Heating(parameters, maximum_power, power_rate), period
+        self._period, self.heating = period, Heating(parameters, period, maximum_power, power_rate)
         gain, late = 1.0 / self.heating.loss, 0.5 * period + delay
         self.gains = Gains.simc(gain, self.heating.time_constant, late, closed_loop_time)
         self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
 
-    def step(self, reference: ArrayLike, measured: ArrayLike) -> Array:
+    def step(self, reference: Sequence[float] | Array, measured: Sequence[float] | Array) -> Array:
         """Voltages (w,) [V] for the next period. `reference`, `measured`: (w,) K; NaN, or a
-        reference at or below ambient, switches a wire off. InputError: wrong shape."""
-        wanted, kelvin = (np.asarray(values, float) for values in (reference, measured))
-        expected = (len(self._loops),)
-        for name, values in (("reference", wanted), ("measured", kelvin)):
-            if values.shape != expected:
-                shapes = f"{values.shape}, expected {expected}"
-                raise InputError(f"temperature control: {name} has shape {shapes}")
-        power = np.zeros(expected)
-        for i, highest in enumerate(self.heating.highest_power(self._period).tolist()):
-            goal, now, loop = float(wanted[i]), float(kelvin[i]), self._loops[i]
+        reference at or below ambient, switches a wire off."""
+        power = np.zeros(len(self._loops))
+        for i, highest in enumerate(self.heating.highest_power().tolist()):
+            goal, now, loop = float(reference[i]), float(measured[i]), self._loops[i]
             if not math.isfinite(goal + now) or goal <= self.heating.ambient:
                 self._loops[i] = None
                 continue
@@ -165,7 +155,7 @@ class TemperatureController:
                 loop.start(float(self.heating.holding_power(now)))
             loop.limits = limits
             power[i] = loop.step(goal, now, self._period)
-        self.heating.spend(power, self._period)
+        self.heating.spend(power)
         return self.heating.voltage(power)
 
     @staticmethod
@@ -176,8 +166,6 @@ class TemperatureController:
         if len(reference) != channels:
             return f"reference has {len(reference)} temperatures, expected {channels}"
         for kelvin in reference:
-            if not math.isfinite(kelvin):
-                return f"reference has {kelvin} K, expected finite temperatures"
             if not 0.0 < kelvin <= highest:
                 return f"reference has {kelvin:g} K, expected above 0 and at most {highest:g} K"
         return ""
@@ -238,7 +226,7 @@ class DeflectionController:
                  power_rate: float = 0.0) -> None:
         """Arguments as `TemperatureController`. Raises InputError: the rig does not move."""
         self.parameters, self._period = parameters, period
-        self.heating = Heating(parameters, maximum_power, power_rate)
+        self.heating = Heating(parameters, period, maximum_power, power_rate)
         loss, late = self.heating.loss, 0.5 * period + delay
         self._sides = [_Side.of(parameters, name, loss) for name in side_names(parameters)]
         self.gains = Gains.simc(1.0, self.heating.time_constant, late, closed_loop_time)
@@ -250,9 +238,7 @@ class DeflectionController:
 
     def step(self, goal: float, measured: float) -> Array:
         """Voltages (w,) [V] for the next period. `goal`: the reference [m] at its end, positive to
-        the front; `measured`: m, NaN: feed-forward only. InputError: the goal is not finite."""
-        if not math.isfinite(goal):
-            raise InputError(f"deflection control: reference is {goal} m, expected finite")
+        the front; `measured`: m, NaN: feed-forward only."""
         dt = self._period
         side = next((side for side in self._sides if side.sign * goal > 0.0), None)
         if side is not self._active:
@@ -276,8 +262,8 @@ class DeflectionController:
             kelvin, sigma = float(state.temperature[wire]), float(state.stress[wire])
             share = model.share(kelvin, sigma, float(state.martensite_fraction[wire]), branch)
             warm, _ = model.at_contraction(wanted, branch, share)
-            toward = float(self.heating.power_toward(warm, kelvin, dt))
-            highest = float(self.heating.highest_power(dt)[side.wires].min())
+            toward = float(self.heating.power_toward(warm, kelvin))
+            highest = float(self.heating.highest_power()[side.wires].min())
             limits = OutputLimits(highest, self.heating.power_rate)
             # Limit the feed-forward first: what it lacks must not wind up the feedback.
             self._ahead = limits.applied(toward, self._ahead, dt)
@@ -290,7 +276,7 @@ class DeflectionController:
                 seen = side.sign * measured
                 applied[side.wires] = self._loop.step(followed, seen, dt, self._ahead)
         self._nominal.advance(self.heating.voltage(nominal), dt)
-        self.heating.spend(applied, dt)
+        self.heating.spend(applied)
         return self.heating.voltage(applied)
 
     @staticmethod

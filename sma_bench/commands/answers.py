@@ -36,7 +36,7 @@ def run_identify(args: SimpleNamespace) -> int:
     from sma_bench.tasks.work import identify_files, write_identified
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
-    stated = parse_stated(args.stated)
+    stated = parse_stated(args.stated) if args.stated else {}
     phases: dict[str, Any] = dict(options.pair("--phase", text, "FILE=martensite or FILE=austenite")
                                   for text in args.phases)
     with terminal.progress("identify") as report:
@@ -113,7 +113,7 @@ def run_try(args: SimpleNamespace) -> int:
     kept = {name: (path, options.FILE) for name, path in written.items()}
     options.keep_safe({**kept, "page": (page, options.FOLDER)}, given, args.force)
     parameters = options.parameters_from_options(args)
-    stated = parse_stated(args.stated)
+    stated = parse_stated(args.stated) if args.stated else {}
     make_folder(out)
     for path in written.values():  # no result of an earlier run may remain
         path.unlink(missing_ok=True)

@@ -19,7 +19,7 @@ def run_info(args: SimpleNamespace) -> int:
     from sma_bench.records.open import parse_stated
     from sma_bench.report.tables import record_line, record_tables
 
-    stated = parse_stated(args.stated)
+    stated = parse_stated(args.stated) if args.stated else {}
     with progress("reading"):
         found = [describe(record) for record in open_records(args.record, args.namespace, stated)]
     write_json(args.json, {**found[0], **({"sheets": found[1:]} if len(found) > 1 else {})})
