@@ -28,15 +28,7 @@ from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.yaml_file import stated_names
-from sma_bench.ros.node import (
-    LATCHED,
-    NANOSECONDS,
-    READINGS,
-    OneThreadExecutor,
-    OverridableNode,
-    seconds_of,
-    stamp_of,
-)
+from sma_bench.ros import node as ros
 
 # Real-time priorities, below the kernel's own threads; the node that drives the device is highest.
 BRIDGE, DRIVER, CAMERA = 12, 11, 10
@@ -44,14 +36,14 @@ _LAST_MESSAGES = 1.0  # s for subscribers to receive them
 Answer = str | tuple[bool, str]
 
 
-class BenchNode(OverridableNode):
+class BenchNode(ros.OverridableNode):
     """Node with the contract's parameters (`parameters`) and its own (`settings`), declared from
     the tables and validated as a whole at every change, which is refused with a reason."""
 
     frozen = False  # True: no parameter may change while the node runs
     limits = ""  # of a node that drives, with their sources, as text
     with_uncertainty = False  # True: it uses the `uncertainty.` parameters
-    executor_type: ClassVar[Callable[[], Executor]] = OneThreadExecutor
+    executor_type: ClassVar[Callable[[], Executor]] = ros.OneThreadExecutor
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -103,11 +95,11 @@ class BenchNode(OverridableNode):
         self._load()
         self.add_on_set_parameters_callback(self._check_change)
         self.add_post_set_parameters_callback(self._load)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", READINGS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", ros.READINGS)
         self.every(1.0, self.diagnose)
 
     def listen(self, kind: type, what: str, on_message: Callable[..., None], numbered: bool = False,
-               qos: QoSProfile = READINGS, newest: bool = False) -> None:
+               qos: QoSProfile = ros.READINGS, newest: bool = False) -> None:
         """Subscribe to `<channel>/WHAT` of each channel: on_message(channel or number, message)."""
         for k, channel in enumerate(self.parameters["bench.channels"]):
             heard = partial(on_message, k if numbered else channel)
@@ -115,7 +107,7 @@ class BenchNode(OverridableNode):
 
     def line(self, topic: str) -> Callable[[str], None]:
         """A function that publishes a text (std_msgs/String, latched)."""
-        publisher = self.create_publisher(String, topic, LATCHED)
+        publisher = self.create_publisher(String, topic, ros.LATCHED)
         return lambda text: publisher.publish(String(data=text))
 
     def wait_for_listeners(self) -> None:
@@ -127,9 +119,9 @@ class BenchNode(OverridableNode):
     def taken(self, message: Any) -> float:
         """Acquisition time of a reading: s of simulated time, else of the monotonic clock."""
         if self.simulated:
-            return seconds_of(message)
-        age = self.get_clock().now().nanoseconds - stamp_of(message)
-        return time.monotonic() - age / NANOSECONDS
+            return ros.seconds_of(message)
+        age = self.get_clock().now().nanoseconds - ros.stamp_of(message)
+        return time.monotonic() - age / ros.NANOSECONDS
 
     def every(self, seconds: float, act: Callable[[], None]) -> None:
         """Call `act` every so many s of wall time."""
@@ -183,6 +175,11 @@ class BenchNode(OverridableNode):
             level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
             hardware_id=hardware or self.get_name(),
             values=[KeyValue(key=key, value=str(v)) for key, v in (values or {}).items()])
+
+    def warnings(self, **reasons: str) -> list[DiagnosticStatus]:
+        """Entries of `health`, one for each reason that is not "", named by its keyword."""
+        return [self.status(name, DiagnosticStatus.WARN, text) for name, text in reasons.items()
+                if text]
 
     def diagnose(self) -> None:
         """Publish `health` now."""

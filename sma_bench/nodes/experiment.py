@@ -111,14 +111,11 @@ class ExperimentNode(BenchNode):
     def health(self) -> list[DiagnosticStatus]:
         run = self._run
         level = DiagnosticStatus.ERROR if run.state == ABORTED else DiagnosticStatus.OK
-        found = [self.status("run", level, run.state_text, {
-            "protocol": run.protocol.name if run.protocol else "", "step": run.step,
-            "obstacle": "" if run.running else run.obstacle(time.monotonic())})]
         several = ros.several_publishers(self, self._guard.known)
-        doubts = {"clocks": self._guard.doubt(), "publishers": several}
-        found += [self.status(name, DiagnosticStatus.WARN, doubt)
-                  for name, doubt in doubts.items() if doubt]
-        return found
+        return [self.status("run", level, run.state_text, {
+            "protocol": run.protocol.name if run.protocol else "", "step": run.step,
+            "obstacle": "" if run.running else run.obstacle(time.monotonic())}),
+            *self.warnings(clocks=self._guard.doubt(), publishers=several)]
 
     def on_time_went_back(self, reason: str) -> None:
         """Steps and voltages would no longer fit the time."""

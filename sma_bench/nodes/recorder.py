@@ -54,11 +54,10 @@ class Recorder(BenchNode):
             if values["free_bytes"] < _NEARLY_FULL:
                 level, message = DiagnosticStatus.WARN, f"{message}; the disk is nearly full"
         readings = [t for t in recording.topics if t.endswith(("/power", "/temperature", "/range"))]
-        if doubt := clock_fault(self) or several_publishers(self, readings):
-            level, message = DiagnosticStatus.WARN, f"{message}; {doubt}"
         if self.failure:
             level, message = DiagnosticStatus.ERROR, str(self.failure)
-        return [self.status("bag", level, message, values)]
+        return [self.status("bag", level, message, values), *self.warnings(
+            clock=clock_fault(self), publishers=several_publishers(self, readings))]
 
     def drain(self, spin: Callable[[], None]) -> None:
         # Spins without a message end it: a bench that still publishes pauses between readings, too.

@@ -2,6 +2,7 @@
 
 States: not connected, idle, enabled, stopped: why. It connects by itself, but never enables."""
 
+import math
 import sys
 import time
 from collections import deque
@@ -13,7 +14,7 @@ from std_msgs.msg import Float64MultiArray, String
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
-from sma_bench.hardware.bench_sensors import SIDES, BenchSensors
+from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits, checked_feedback
 from sma_bench.hardware.serial_link import LinkError, SerialLink, find_port, open_port
 from sma_bench.hardware.serial_messages import Telemetry
@@ -85,22 +86,24 @@ class SerialBridge(BenchNode):
         if after - before < _AT_ONCE or not self._to_ros:
             self._to_ros = stamps - (before + after) // 2
         while self._arrived:
-            reading = self._driver.take(self._arrived.popleft(), time.monotonic())
-            stamp = round(ros.NANOSECONDS * reading.time) + self._to_ros
-            for channel, power in zip(self._channels, reading.powers, strict=True):
-                self._topics.power(channel, *power, stamp)
-            for side in self._sides:
-                self._topics.range(side, reading.distances[SIDES.index(side)], stamp)
-            if self._sides and reading.deflection == reading.deflection:  # not NaN
-                self._topics.joint(stamp, reading.deflection)
-            self._readings += 1
-            self._oldest = max(self._oldest, time.monotonic() - reading.time)
+            self._publish(self._driver.take(self._arrived.popleft(), time.monotonic()))
             self._check()  # the next reading may hide this one's fault
         self._check()
         self._publish_state()
         while self._events:
             if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
+
+    def _publish(self, reading: BenchReading) -> None:
+        stamp = round(ros.NANOSECONDS * reading.time) + self._to_ros
+        for channel, power in zip(self._channels, reading.powers, strict=True):
+            self._topics.power(channel, *power, stamp)
+        for side in self._sides:
+            self._topics.range(side, reading.distances[SIDES.index(side)], stamp)
+        if self._sides and not math.isnan(reading.deflection):
+            self._topics.joint(stamp, reading.deflection)
+        self._readings += 1
+        self._oldest = max(self._oldest, time.monotonic() - reading.time)
 
     def _check(self) -> None:
         if reason := self._driver.tick(time.monotonic()):
@@ -162,7 +165,5 @@ class SerialBridge(BenchNode):
         if state not in ("idle", "enabled"):
             level = DiagnosticStatus.ERROR
         device = values.get("firmware", "no device")
-        found = [self.status("bench", level, state, values, device)]
-        if doubt := self._guard.doubt():
-            found.append(self.status("clocks", DiagnosticStatus.WARN, doubt, hardware=device))
-        return found
+        return [self.status("bench", level, state, values, device),
+                *self.warnings(clocks=self._guard.doubt())]

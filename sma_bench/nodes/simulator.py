@@ -20,16 +20,7 @@ from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockstep, VirtualBench
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.ros.node import (
-    CLOCK,
-    COMMAND,
-    NANOSECONDS,
-    READINGS,
-    BenchTopics,
-    Commanders,
-    claim_readings,
-    several_publishers,
-)
+from sma_bench.ros import node as ros
 
 _SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; the latter: period of the fastest readings
 _SLICES_AT_ONCE = 8  # per callback, so that commands and services get their turn
@@ -44,13 +35,13 @@ class SimulatedClock:
     def __init__(self, node: BenchNode, tick: int) -> None:
         """`tick` ns: each published time is a multiple of it after the first."""
         try:
-            node.claims.append(claimed(node.resolve_topic_name(CLOCK)))
+            node.claims.append(claimed(node.resolve_topic_name(ros.CLOCK)))
         except InputError as error:
             reason = f"{error}; above real time each bench needs its own domain"
             raise InputError(reason) from None
         self._node, self._tick, self._sent, self._last = node, tick, 0.0, 0
         self._others: Subscription | None = None
-        self._publisher = node.create_publisher(Clock, CLOCK, READINGS)
+        self._publisher = node.create_publisher(Clock, ros.CLOCK, ros.READINGS)
         node.every(_CLOCK_WATCH, self._watch)
 
     def publish(self, now: int) -> None:
@@ -63,13 +54,14 @@ class SimulatedClock:
 
     def _watch(self) -> None:
         # The graph still lists killed nodes: only a received clock counts.
-        if self._others is None and self._node.count_publishers(CLOCK) > 1:
-            self._others = self._node.create_subscription(Clock, CLOCK, self.on_clock, READINGS)
+        if self._others is None and self._node.count_publishers(ros.CLOCK) > 1:
+            what = Clock, ros.CLOCK, self.on_clock, ros.READINGS
+            self._others = self._node.create_subscription(*what)
 
     def on_clock(self, message: Clock) -> None:
-        heard = message.clock.sec * NANOSECONDS + message.clock.nanosec
+        heard = message.clock.sec * ros.NANOSECONDS + message.clock.nanosec
         if (heard - self._last) % self._tick:
-            self._node.fail(InputError(several_publishers(self._node, [CLOCK])))
+            self._node.fail(InputError(ros.several_publishers(self._node, [ros.CLOCK])))
 
 
 class Simulator(BenchNode):
@@ -82,23 +74,23 @@ class Simulator(BenchNode):
         limits, speed = Limits.from_parameters(self.parameters), self.settings["speed"]
         self._fast = speed > REAL_TIME
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
-        self._slice = round(slice_length * NANOSECONDS)
+        self._slice = round(slice_length * ros.NANOSECONDS)
         self._own_clock = SimulatedClock(self, self._slice) if self._fast else None
         self._now, self._epoch, self._begun = 0, time.time_ns(), 0  # ns: simulated; wall, monotonic
         self._bench = VirtualBench(self.parameters, self.settings)
         if not self._fast:  # the real device is never late
             be_punctual(BRIDGE)
         channels, composite = self._bench.channels, self._bench.composite
-        self._topics = BenchTopics(self, channels, (*channels, "ambient"),
+        self._topics = ros.BenchTopics(self, channels, (*channels, "ambient"),
                                    SIDES if composite else (), "tip" if composite else "wire")
-        self.claims.append(claim_readings(self, channels[0]))
+        self.claims.append(ros.claim_readings(self, channels[0]))
         self._counts = Counter({"power": 0, "temperature": 0, "mechanics": 0, "ambient": 0})
         self._reported = 0, self._counts.copy()
         self._gate = CommandGate(len(channels), limits)
         self._lockstep = Lockstep(slice_length, speed, limits.command_timeout,
                                   self.settings["lockstep_patience"])
-        self._commanders = Commanders(self)
-        self.create_subscription(Float64MultiArray, COMMAND, self.on_command, READINGS)
+        self._commanders = ros.Commanders(self)
+        self.create_subscription(Float64MultiArray, ros.COMMAND, self.on_command, ros.READINGS)
         self.every(max(slice_length / speed, _SHORTEST_TICK), self._tick)
         self.get_logger().info(f"simulating {', '.join(channels)}, {speed:g} s a second")
         if load_kind(self.parameters) == "displacement":
@@ -108,7 +100,7 @@ class Simulator(BenchNode):
         sender, fault = self._commanders.judge(message, self._bench.channels)
         if not self._fast:  # catch up first: effects of a command must be stamped after it
             self._tick(_MOST_CAUGHT_UP)
-        now, gate = self._now / NANOSECONDS, self._gate
+        now, gate = self._now / ros.NANOSECONDS, self._gate
         if reason := gate.refuse(fault) if fault else gate.command(message.data, now, sender):
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
             return
@@ -123,11 +115,12 @@ class Simulator(BenchNode):
         for _ in range(slices):
             until = min(self._now + self._slice, wall)
             if self._fast:
-                advances = self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic())
+                advances = self._lockstep.may_advance(self._now / ros.NANOSECONDS, time.monotonic())
                 until = self._now + advances * self._slice
             if until <= self._now:
                 break
-            for reading in self._bench.advance(self._gate.outputs(self._now / NANOSECONDS), until):
+            outputs = self._gate.outputs(self._now / ros.NANOSECONDS)
+            for reading in self._bench.advance(outputs, until):
                 self._publish(reading)
             self._now = until
             self._publish_clock()
@@ -159,8 +152,8 @@ class Simulator(BenchNode):
         return Time(nanoseconds=self._epoch + self._now).to_msg()
 
     def health(self) -> list[DiagnosticStatus]:
-        gate, now, (before, counts) = self._gate, self._now / NANOSECONDS, self._reported
-        elapsed = max(self._now - before, 1) / NANOSECONDS
+        gate, now, (before, counts) = self._gate, self._now / ros.NANOSECONDS, self._reported
+        elapsed = max(self._now - before, 1) / ros.NANOSECONDS
         self._reported = self._now, self._counts.copy()
         values = {**gate.diagnostics(now), "simulated_seconds": f"{now:.3f}",
                   **{f"{kind}_rate": f"{(count - counts[kind]) / elapsed:.1f}"
