@@ -88,7 +88,7 @@ class Parameter:
             hints = {number + 273.15: "is it in degrees Celsius?"}
         elif self.unit == "1" and self.high <= 1.0:
             hints = {0.01 * number: "is it in percent?"}
-        elif self.low != 0.0 or (number > 0.0 and unit):
+        elif unit and (self.low != 0.0 or number > 0.0):
             hints = {number * factor: f"times {factor:g} it would fit: wrong unit prefix?"
                      for factor in _UNIT_SLIPS}
         hint = next((f" ({hints[x]})" for x in hints if self.low <= x <= self.high), "")
