@@ -307,9 +307,10 @@ def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives
             if r.channels and not any(has_samples(r, f"{c}.voltage") for c in r.channels):
                 found.append(f"{r.path}: no voltage of {', '.join(r.channels)}")
         what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
+        listed = [name for name in missing if bags or reasons[name]] or missing
         raise InputError(f"{', '.join(str(r.path) for r in records)}: {what}: found "
                          f"{'; '.join(dict.fromkeys(found + every))}; needed: "
-                         f"{'; '.join(NEEDS[name] for name in missing)}")
+                         f"{'; '.join(NEEDS[name] for name in listed)}")
     for name in missing:
         if reasons[name] and name != "E8":  # tried on the force of any clamped wire
             run.notes.append(remark("not identified", "warning" if name in run.failed else "info",

@@ -19,8 +19,9 @@ from sma_bench.records.storage import RawTopic, RawTopics, decompress_messages, 
 _DAY_NS = 86_400 * 10**9  # smaller stamps are of a simulation, which counts from 0
 _TWO_CLOCKS_NS = 10**9  # a larger median of receive time minus stamp means two clocks
 _MEDIAN_OF = 15  # messages: up to 7 wrong stamps in a row do not move the topics without stamps
-# Stamps may span a day plus ten times the recorded time (the steps of at most 10 s). If they span
-# more, a clock was set meanwhile: split at gaps, long ones first, and keep the largest part.
+# Stamps may span a day plus ten times the recorded time (the steps of at most 10 s, or twice the
+# usual one). If they span more, a clock was set meanwhile: split at gaps, long ones first, and keep
+# the largest part.
 _PAUSES_OF_RECORDED, _RECORDED_NS, _GAPS_S = 10, 10 * 10**9, (86_400, 3600, 600, 60, 10)
 _MARKER_BYTES, _MOST_MARKERS = 400, 100_000  # memory of a marker and its objects; markers
 # By message type: (column, message field, joint) of each column.
@@ -190,9 +191,11 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
     if not ends or max(ends) - min(ends) <= _DAY_NS:
         return  # saves sorting the stamps of all topics
     stamps = whole = np.sort(np.concatenate([s.stamp for s in decoded]))
+    steps = np.diff(np.unique(stamps))
+    recorded = max(_RECORDED_NS, 2 * int(np.quantile(steps, 0.5, method="lower")))
     for gap in _GAPS_S:
         steps = np.diff(stamps)
-        if steps.sum() <= _DAY_NS + _PAUSES_OF_RECORDED * steps[steps <= _RECORDED_NS].sum():
+        if steps.sum() <= _DAY_NS + _PAUSES_OF_RECORDED * steps[steps <= recorded].sum():
             break
         stamps = max(np.split(stamps, np.flatnonzero(steps > gap * 10**9) + 1), key=len)
     if len(stamps) < len(whole):

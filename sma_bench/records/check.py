@@ -116,10 +116,12 @@ def outliers(signal: Signal) -> IntArray:
     found = far & (ends - begins == 1)
     found &= np.sum(found) <= _MOST_OUTLIERS
     if kind_of(signal.name) in DROPS_OUT:  # one value again and again, as a sensor's code
-        codes = [v for v in (values.min(), values.max()) if np.sum(level == v) > 2]
-        again = (ends - begins > 1) | np.isin(level, codes)
-        again &= far & (jump > _DROP * float(np.ptp(values)))
-        found |= again & (np.sum((ends - begins)[again]) < _MOST_DROPPED * len(values))
+        far &= jump > _DROP * float(np.ptp(values))
+        few = _MOST_DROPPED * len(values)
+        codes = [v for v in (values.min(), values.max())
+                 if np.sum(far & (level == v)) > 2 and np.sum(values == v) < few]
+        again = far & ((ends - begins > 1) | np.isin(level, codes)) & ~np.isin(before, codes)
+        found |= again & (np.sum((ends - begins)[again]) < few)
     pairs = zip(begins[found], ends[found], strict=True)
     return np.concatenate([none, *(np.arange(begin, end) for begin, end in pairs)])
 

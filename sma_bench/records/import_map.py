@@ -21,6 +21,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records import cells, contract
 from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, Unit, message, parse_unit
+from sma_bench.records.instrument_files import Sheet
 from sma_bench.records.record import Record, Signal, ohms_of_source
 from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 
@@ -313,6 +314,9 @@ def propose(table: TableFile, bench: Parameters,
         supply = bench[volts] if is_sure else ask("supply_voltage", "which_supply", said=said)
     if any(entry.measured.quantity == "angle" for entry in found):
         lever = bench["load.lever"] or ask("lever", "which_lever")
+    for count, line in (Sheet(table, t, {}).wires() for t in table.tables):
+        if count not in (1, bench["wire.count"]):
+            remarks["wire.count"] = message("other_count", line=line, count=bench["wire.count"])
     # What is missing. A clamped wire needs no motion, but temperature, or voltage and current.
     taken = {*time, *(entry.column for entry in found)}
     ignored = tuple(column.name for column in columns if column.name not in taken)
@@ -333,7 +337,6 @@ def propose(table: TableFile, bench: Parameters,
 
 def _stated(file: TableFile, name: str) -> dict[float, str]:
     """Values that lines above the titles state for a number of `of_rows`, with these lines."""
-    from sma_bench.records.instrument_files import Sheet
     found = (Sheet(file, table, {}).statements(name) for table in file.tables)
     return {value: line for lines in found for value, line in lines.items()}
 

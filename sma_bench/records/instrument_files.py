@@ -177,12 +177,15 @@ class Sheet:
         force; None if unknown."""
         if (area := self.noted("area")) is not None:
             return area
-        diameter, lines = self.noted("diameter"), map(" ".join, self.table.above)
-        found = next(filter(None, map(PATTERNS.wires.match, map(plain_title, lines))), None)
-        count = int(found[found.lastindex or 0]) if found else 1
-        if found and diameter is not None:
-            self.remark("warning", "force", "shared", count=f"{count}", line=found[0])
+        diameter, (count, line) = self.noted("diameter"), self.wires()
+        if line and diameter is not None:
+            self.remark("warning", "force", "shared", count=f"{count}", line=line)
         return None if diameter is None else 0.25 * np.pi * diameter**2 * count
+
+    def wires(self) -> tuple[int, str]:
+        """How many wires a line states, and that line; 1 and "" without."""
+        found = map(PATTERNS.wires.match, map(plain_title, map(" ".join, self.table.above)))
+        return next(((int(f[f.lastindex or 0]), f[0]) for f in found if f), (1, ""))
 
     def account(self, columns: dict[str, tuple[Column, str]], rows: int) -> Account:
         used = {column.name: role for column, role in columns.values()}
@@ -358,17 +361,14 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
         pulled = replace(pulled, unit=unit)
     temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
     loaded = columns.get("stress")
-    load = sheet.noted("stress") or cells.number_with_unit(table.name, "stress")
-    is_force = loaded[1] == "force" if loaded else not load
-    section = sheet.section() if is_force else 1.0
-    if section is None and not load:
-        name = loaded[0].name if loaded else "a line above the titles"
-        raise sheet.refusal("no_section", name=name)
+    section = sheet.section() if loaded and loaded[1] == "force" else 1.0
     if loaded and section is not None:
         stress = sheet.values(*loaded) / section
     else:
-        load = load or (sheet.noted("force") or 0.0) / (section or 1.0)
-        stress = np.full(len(strain), load)
+        load = sheet.noted("stress") or cells.number_with_unit(table.name, "stress")
+        if not load and (section := sheet.section()) is None:
+            raise sheet.refusal("no_section", name=loaded[0].name if loaded else "a line")
+        stress = np.full(len(strain), load or (sheet.noted("force") or 0.0) / (section or 1.0))
     span = float(np.ptp(strain))
     gauge = sheet.noted("gauge_length") if role == "length" else None
     is_relative = role == "length" and gauge is None

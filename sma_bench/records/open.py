@@ -91,6 +91,8 @@ def _why_no_record(file: "TableFile", stated: Mapping[str, float]) -> str:
         how = message("or_stated") if (kind, what) == ("isobaric", "stress") else ""
         kinds_of = ", ".join(kinds[kind])
         return message("lacks", what=what, kind=kind, of=kinds_of, example=example) + how
+    if sheet.find("resistance"):
+        return message("resistance")
     return message("other", format=file.format, name=file.path.name, stem=file.path.stem)
 
 

@@ -165,7 +165,8 @@ def test_lines_above_the_titles_give_a_period_and_may_contradict_a_supply(
     path = tmp_path / "lines.csv"
     rows = (f"{k},{50.0 * (10 < k < 20)},{20 + k / 10}" for k in range(40))
     path.write_text("\n".join([head, "Sample,Duty (%),Temp (C)", *rows]) + "\n")
-    made, questions, _ = propose(read_table_file(path), Parameters(rig), {})
+    made, questions, remarks = propose(read_table_file(path), Parameters(rig), {})
+    assert ("wire.count" in remarks) == ("wires" in head)
     assert made.tick("row number") == pytest.approx(period)
     assert len(questions) == bool(question) and question in "".join(questions)
 

@@ -52,6 +52,13 @@ def test_any_signals_come_back_as_they_were(tmp_path_factory, data):
         np.testing.assert_allclose(back.values, signal.values, rtol=1e-12, atol=1e-12)
 
 
+def test_a_slow_log_of_two_days_is_no_clock_that_was_set(tmp_path):
+    minutes = np.arange(2880) * 60.0
+    kelvin = Signal("wire.temperature", "K", minutes, 300.0 + 5.0 * np.sin(minutes / 7e3))
+    write_record(tmp_path / "slow", [kelvin], start_ns=10**18)
+    assert len(read_record(tmp_path / "slow")["wire.temperature"]) == 2880
+
+
 def test_receive_times_markers_and_commands_are_written_and_rosbags_reads_them(tmp_path, messages):
     warm = Signal("wire.temperature", "K", CLOCK, 300 + CLOCK, CLOCK + 0.02)
     command = Signal("voltage_command", "V", CLOCK, np.column_stack([CLOCK, -CLOCK]))
