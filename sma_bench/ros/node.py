@@ -218,21 +218,23 @@ def clock_fault(node: Node) -> str:
             return "use_sim_time is set, but there is no /clock"
         real = node.count_publishers(BRIDGE)
         return "use_sim_time is set, but serial_bridge runs in real time" if real else ""
-    inside = {(info.node_namespace, info.node_name)
-              for info in node.get_publishers_info_by_topic(CLOCK)}
-    if (node.get_namespace(), "simulator") in inside:  # another simulation's clock is not ours
-        return "simulator publishes /clock, but use_sim_time is not set here"
-    return ""
+    # Another simulation's clock is not ours.
+    ours = f"{node.get_namespace().rstrip('/')}/simulator" in publishers_of(node, CLOCK)
+    return "simulator publishes /clock, but use_sim_time is not set here" if ours else ""
+
+
+def publishers_of(node: Node, topic: str) -> list[str]:
+    """Full names of a topic's publishers' nodes."""
+    return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                  for info in node.get_publishers_info_by_topic(topic))
 
 
 def several_publishers(node: Node, topics: Iterable[str]) -> str:
     """Report of a topic with more than one publisher, or "": nothing shows whose readings are true.
     The graph lists a killed node for some 20 s."""
     for topic in topics:
-        infos = node.get_publishers_info_by_topic(topic)
-        if len(infos) > 1:
-            names = sorted(f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in infos)
-            return f"{topic} has {len(infos)} publishers: {shown(', '.join(names), _LONGEST_NAME)}"
+        if len(names := publishers_of(node, topic)) > 1:
+            return f"{topic} has {len(names)} publishers: {shown(', '.join(names), _LONGEST_NAME)}"
     return ""
 
 
@@ -303,10 +305,9 @@ class Commanders:
         if (now := time.monotonic()) >= self._looked + _LOOK_EVERY:
             # Nodes with a publisher of commands that do not sign; one name per publisher.
             self._looked = now
-            names = (f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                     for info in self._node.get_publishers_info_by_topic(self._topic)
-                     if info.node_name not in (*_SIGNING, NOT_YET_KNOWN))
-            self._unsigned = sorted(name for name in names if name not in self._signed)
+            self._unsigned = [name for name in publishers_of(self._node, self._topic)
+                              if name not in self._signed and name.rpartition("/")[2]
+                              not in (*_SIGNING, NOT_YET_KNOWN)]
         if not fault and len(self._unsigned) > 1 and any(message.data):
             senders = ", ".join(self._unsigned)
             fault = f"unsigned command, and several nodes may have sent it: {senders}"
