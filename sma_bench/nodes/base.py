@@ -177,9 +177,12 @@ class BenchNode(ros.OverridableNode):
             values=[KeyValue(key=key, value=str(v)) for key, v in (values or {}).items()])
 
     def warnings(self, **reasons: str) -> list[DiagnosticStatus]:
-        """Entries of `health`, one for each reason that is not "", named by its keyword."""
-        return [self.status(name, DiagnosticStatus.WARN, text) for name, text in reasons.items()
-                if text]
+        """Entries of `health`, one for each reason that is not "", named by its keyword; the log
+        has them once a minute."""
+        found = {name: text for name, text in reasons.items() if text}
+        if found:
+            self.get_logger().warning("; ".join(found.values()), throttle_duration_sec=60.0)
+        return [self.status(name, DiagnosticStatus.WARN, text) for name, text in found.items()]
 
     def diagnose(self) -> None:
         """Publish `health` now."""

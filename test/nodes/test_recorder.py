@@ -56,6 +56,7 @@ def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, 
     second = bench.node.create_publisher(BatteryState, "wire/power", 10)
     two = "wire/power has 2 publishers: /bench/test, /bench/test"
     bench.until(lambda: two in str(bench.status("recorder: publishers")))
+    assert node.output.count(two) == 1
     bench.node.destroy_publisher(second)
     # Messages sent before the end are written, even if they were still queued.
     node.process.send_signal(signal.SIGSTOP)
