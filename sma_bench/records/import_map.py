@@ -396,6 +396,8 @@ class _Proposal:
         words |= {PATTERNS.compound.sub("", word) for word in words}
         named = named or "counter" * bool(np.all(np.diff(column.values) == 1.0))
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
+        if (unit := parse_unit(column.unit)) and unit.quantity in WORDS["foreign"]:
+            unused = f"a unit of {unit.quantity}"
         is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))
         sensors = {w for w in words if named in _DRIVES and PATTERNS.transducer.match(w)}
         other = min(words & {*WORDS["devices"], *_DOUBTFUL} or sensors, default="")
