@@ -99,6 +99,10 @@ class OverridableNode(Node):
             raise InputError(" ".join(str(error).rstrip("^ ").split())) from None
         self._ros_is_ready = True
 
+    def count_publishers(self, topic_name: str) -> int:
+        """Also of a remapped topic, unlike rclpy's own."""
+        return int(super().count_publishers(self.resolve_topic_name(topic_name)))
+
     def create_publisher(self, *what: Any, newest: bool = False, **options: Any) -> Publisher:
         """Arguments: message type, topic, QoS; `newest`: short queue, no old messages."""
         return self._endpoint(super().create_publisher, what, newest, options)

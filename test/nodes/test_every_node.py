@@ -229,6 +229,15 @@ def test_a_node_refuses_impossible_parameters_in_one_line(make, name, given, sai
         raise node.failure or AssertionError("it can")
 
 
+def test_a_remapped_state_of_the_bridge_is_found(make):
+    node = make("experiment", "-r", "serial_bridge/state:=/cell/uno")
+    node.create_publisher(String, "/cell/uno", 1)
+    end = time.monotonic() + 10.0
+    while "serial_bridge/state" not in node.surroundings().present:
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
 def test_a_command_says_which_channels_it_is_for_and_one_for_others_is_refused():
     (dim,) = voltage_command(CHANNELS, [1.0, 2.0]).layout.dim
     assert (dim.label, dim.size, dim.stride) == ("front_1 back_1", 2, 2)
