@@ -1,17 +1,14 @@
 """The decision's weights: the likeliest for the cases, those of the package for what is stored."""
 
 import gzip
-import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 
 from examination.blind import learn
 from examination.blind.learn import STORED, conformal, credible, fit_weights, right_names
 from sma_bench.diagnose.decision import NAMES, learnt
-from sma_bench.errors import InputError
 
 GAIN, ONE, RIVALS = (NAMES.index(f"effect.{name}") for name in ("gain", "one", "rivals"))
 
@@ -90,31 +87,3 @@ def test_the_table_of_weights_is_what_the_stored_features_give_and_says_more_tha
     shares = [np.exp(c.x @ weights + c.fixed) for c in cases]
     answers = learn.lapsed([p / p.sum() for p in shares], table.lapse)
     assert np.mean(learn.log_probability(cases, answers)) > lines[1] + 1.0
-
-
-def test_weights_predict_left_out_forms_and_rigs(lines, tmp_path, capsys):
-    path = tmp_path / "features.jsonl"
-    path.write_text("".join(json.dumps(line) + "\n" for line in lines[0][::4]))
-    learn.learn([path], tmp_path / "weights.yaml", tmp_path / "learnt.md")
-    said = capsys.readouterr().out
-    assert said.strip() in (tmp_path / "learnt.md").read_text()
-    row = next(s for s in said.splitlines() if "log probability of the truth" in s)
-    assert min(map(float, row.strip("| ").split(" | ")[-2:])) > lines[1] + 1.0
-    table = yaml.safe_load((tmp_path / "weights.yaml").read_text())
-    assert 0.0 < table["least"] < 1.0 and set(table["weights"]) == set(NAMES)
-
-
-def test_features_go_on_where_they_ended_and_refuse_another_library(tmp_path, monkeypatch):
-    pytest.importorskip("numba", reason="whole records take minutes uncompiled")
-    monkeypatch.setattr(learn, "_LOADS", ("clamped",))  # one wire: a tenth of the time
-    path = tmp_path / "features.jsonl"
-    learn.keep_features(path, 3002, 1)
-    kept = path.read_text()
-    learn.keep_features(path, 3002, 1)
-    assert path.read_text() == kept and kept.count("\n") == 1
-    known = json.loads(kept)
-    assert abs(sum(known["today"].values()) - 1.0) < 1e-3
-    assert learn.Known(known).right.any()
-    path.write_text(kept.replace(known["library"], "0" * 16))
-    with pytest.raises(InputError, match="another library"):
-        learn.keep_features(path, 3002, 1)
