@@ -13,6 +13,7 @@ import threading
 import time
 
 import pytest
+from planted import few_effects
 
 from sma_bench.commands.answers import file_names, run_batch
 from sma_bench.commands.options import run_command
@@ -111,13 +112,16 @@ class Deadly(str):
 
 @pytest.mark.slow
 def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
-    paths = [str(bags / name) for name in ("wire_2.5", "wire_2.5", "wire_2.9")]
-    kinds = Deadly(IDENTIFY), IDENTIFY, DIAGNOSE
-    given = zip(kinds, paths, strict=True)
-    done = dict(do_tasks([Task(*one, Parameters.of_paper()) for one in given], 2))
-    assert done[0].error == f"{paths[0]}: its process was killed (out of memory?)"
-    assert not done[1].error and not done[2].error
-    assert done[2].result["verdict"] and done[2].yaml.startswith("# Improved by sma-bench batch")
+    path, paper = str(bags / "wire_2.5"), Parameters.of_paper()
+    done = dict(do_tasks([Task(kind, path, paper) for kind in (Deadly(IDENTIFY), IDENTIFY)], 2))
+    assert done[0].error == f"{path}: its process was killed (out of memory?)"
+    assert not done[1].error
+
+
+def test_a_diagnosis_of_a_batch_has_its_verdict_and_its_parameters(bags):
+    with few_effects(("supply_drop",)):
+        done = run_task(Task(DIAGNOSE, str(bags / "wire_2.9"), Parameters.of_paper()))
+    assert done.result["verdict"] and done.yaml.startswith("# Improved by sma-bench batch")
 
 
 @pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\xff" * 64, b""])

@@ -4,12 +4,19 @@ import json
 from pathlib import Path
 
 import pytest
+from planted import few_effects
 
 from sma_bench.cli import main
 from sma_bench.installation import share_directory
 from sma_bench.parameters import read_parameters
 
-pytestmark = pytest.mark.usefixtures("undrawn")
+
+@pytest.fixture(autouse=True)
+def _quick(undrawn):
+    """Without drawings, and with one effect."""
+    with few_effects(("ambient_drift",)):
+        yield
+
 
 EXAMPLES = share_directory() / "examples"
 TABLE, LAB = EXAMPLES / "ten_tasks" / "run.csv", EXAMPLES / "ten_tasks" / "lab.yaml"
