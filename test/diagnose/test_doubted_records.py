@@ -8,7 +8,6 @@ import pytest
 from planted import believed, planted_pair
 
 import sma_bench
-from sma_bench.records.check import outliers
 from sma_bench.records.mend import comparable, doubtful_readings, mended, without_unseen_drive
 from sma_bench.records.record import first_order_lag
 
@@ -93,14 +92,6 @@ def test_single_outliers_are_left_out_and_reported(record, wrong):
     slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
     slow[[100, 300, 800]] += 0.1
     assert not with_temperature(record, values=np.round(slow, 1))[1]
-
-
-def test_noise_of_a_resting_sensor_is_no_dropout():
-    values = np.round(0.1 + 1e-4 * np.random.default_rng(1).standard_normal(5000), 4)
-    tip = sma_bench.Signal("front.range", "m", np.arange(5000) / 50.0, values)
-    assert not len(outliers(tip))
-    values[2000:2010] = 0.0
-    assert outliers(tip).tolist() == list(range(2000, 2010))
 
 
 @pytest.mark.parametrize(("volts", "begin", "end", "kept"), [
@@ -228,23 +219,6 @@ def test_a_stated_lag_and_spot_share_of_a_sensor_are_no_cause(record):
     left = sma_bench.compare(read, [LAB | stated]).differences
     (kelvin,) = (d.rms for d in left if d.signal == "wire.temperature")
     assert kelvin < 0.5 < 3.0 < np.ptp(own)
-
-
-def test_unstated_numbers_are_fitted_so_well_that_no_effect_gains():
-    drawn = {"resistance": 1.3, "heat_transfer_coefficient": 600.0, "specific_heat": 480.0}
-    rig = {name: value for name, value in LAB.items() if name.startswith(("bench", "load"))}
-    time = np.arange(1200) / 10.0
-    volts = np.repeat([0.0, 0.5, 1.0, 1.5, 1.0, 0.5, 0.0, 1.25], 150)
-    true = rig | {f"wire.{name}": value for name, value in drawn.items()}
-    run = sma_bench.simulate((time, volts[:, None]), true)
-    found = sma_bench.diagnose(sma_bench.measure(run, 1), rig)
-    assert found.verdict == "recalibration"
-    assert max(c.log_evidence for c in found.candidates) < 2.0
-
-
-def test_an_empty_record_has_no_unseen_drive(record):
-    empty = replace(record, signals={})
-    assert without_unseen_drive(empty) == (empty, [])
 
 
 def test_the_expansion_of_a_cold_wire_is_not_taken_for_a_reversed_sign():
