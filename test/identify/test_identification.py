@@ -16,7 +16,7 @@ from wire_records import changed, ramp, staircase
 
 import sma_bench
 from examination.attack_lab.instruments import Alloy
-from examination.check.alloys import coverage, examine, isobaric_tests
+from examination.check.alloys import isobaric_tests
 from sma_bench.cli import main
 from sma_bench.diagnose.diagnosis import about_unstated
 from sma_bench.errors import InputError
@@ -335,16 +335,6 @@ def test_a_noisy_test_gives_its_alloy_with_no_file_a_template_or_its_own_result(
     assert one.items == other.items
     (note,) = about_unstated(one, template)
     assert CP in note.text and "wire.mass" in note.text and not about_unstated(stated, paper)
-
-
-def test_intervals_contain_the_true_numbers_of_drawn_alloys():
-    """`./bench check alloys` draws more."""
-    # Draws with few cycles, whose bootstrap is quick.
-    rows = [row for draw in (0, 1, 3, 5) for row in examine(5, draw)]
-    assert {row["method"] for row in rows} == {"E5", "E6", "E7", "E8"}
-    assert coverage(rows) > 0.8
-    assert coverage([row for row in rows if row["far"] > 3.0]) > 0.8
-    assert max(abs(row["z"]) for row in rows) < 8.0
 
 
 # --- Remarks: every cause of the table is used, with all facts that its text needs.

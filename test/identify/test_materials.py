@@ -149,28 +149,15 @@ def draw(seed):
 @pytest.mark.slow
 def test_intervals_cover_the_true_numbers_of_a_material_of_the_contracts_law():
     scores = []
-    for seed in range(4):
+    for seed in range(3):
         truth = draw(seed)
         estimates = fit_constitutive(loops(truth, seed=10 * seed), truth).estimates
         scores += [(estimates[n].value - truth[n]) / estimates[n].std for n in FITTED]
         assert all("contract law" in estimate.method for estimate in estimates.values())
         assert all(estimates[n].std < 0.1 * abs(truth[n]) for n in FITTED)
-    assert len(scores) == 32
+    assert len(scores) == 24
     assert np.mean(np.abs(scores) < 1.96) >= 0.85  # 2.5 deviations of a binomial below 95 %
     assert abs(np.mean(scores)) < 0.4
-
-
-def test_strain_that_grows_with_stress_is_fitted_by_the_extended_law_and_reported():
-    truth = draw(5)
-    experiment = fit_constitutive(loops(truth, growth=1.2e-8), truth)
-    assert all("extended law" in e.method for e in experiment.estimates.values())
-    contract, extended = (f for f in experiment.findings if f.subject == "fit error")
-    assert "do not suffice" in contract.text and contract.severity == "warning"
-    assert max(extended.numbers.values()) < 0.01
-    k, estimate = experiment.details["extended: k"], experiment.estimates[STRAIN]
-    assert k.value == pytest.approx(1.2, abs=4.0 * k.std)
-    eps_l = truth[STRAIN] * (1.0 - np.exp(-1.2e-8 * 220e6))
-    assert estimate.value == pytest.approx(eps_l, abs=4.0 * estimate.std)
 
 
 def test_one_stress_needs_given_influences_and_one_direction_gives_its_own_numbers():

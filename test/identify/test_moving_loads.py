@@ -11,15 +11,13 @@ from planted import machine_drive, moving_lab, moving_record, strokes
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
 import sma_bench
-from examination.check import loads
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.estimation.laws import band_of
-from sma_bench.identify import identify, whole_model
+from sma_bench.identify import identify
 from sma_bench.identify.result import identification_from
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameter import TRANSITIONS
-from sma_bench.physics import simulate
 from sma_bench.records.record import first_order_lag
 from sma_bench.report.experiment_figures import bench_fit_pictures
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
@@ -29,6 +27,7 @@ MOVED = (
     *("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
     *("wire.maximum_recoverable_strain", "load.force", "load.stiffness", "load.preload"),
 )
+COSINE = {"wire.law": "cosine"}  # stated, so that no others are fitted
 RISES = {"effect.phase_dependent_resistance.austenite_change": -0.1}
 
 
@@ -64,7 +63,7 @@ def within(found, truth, deviations=4.0):
 
 @pytest.mark.slow
 def test_motion_and_voltage_of_two_runs_predict_a_third():  # test_whole_model.py: beams
-    believed = moving_lab("antagonist", stds={"load.stiffness": 40.0})
+    believed = moving_lab("antagonist", COSINE, {"load.stiffness": 40.0})
     truth = drawn(believed)
     found = identify(pair(truth), believed)
     assert [e.name for e in found.experiments] == ["E10"]
@@ -77,7 +76,7 @@ def test_motion_and_voltage_of_two_runs_predict_a_third():  # test_whole_model.p
 @pytest.mark.slow
 def test_friction_of_a_nonlinear_spring_is_separated_from_the_wires_own_hysteresis():
     known = {"load.friction": 0.3, "load.stiffening": 40.0, "load.stiffness": 40.0}
-    believed = moving_lab("spring", stds=known)
+    believed = moving_lab("spring", COSINE, known)
     truth = drawn(believed).replace({"load.friction": 0.4, "load.stiffening": 50.0})
     found = identify(pair(truth), believed)
     for name, far in (("load.friction", 0.2), ("load.stiffening", 100.0)):
@@ -145,18 +144,6 @@ def test_a_wire_with_hardly_any_stated_parameters_is_identified_and_predicts_ano
     assert missed(found.parameters, truth) < 0.01
 
 
-@pytest.mark.slow
-def test_two_runs_of_another_simulator_predict_five_of_other_shapes(monkeypatch):
-    """Its wire has latent heat, free convection and a resistance that changes.
-
-    `./bench check loads` has the other loads.
-    """
-    monkeypatch.setattr(whole_model, "starts", lambda unknowns: [unknowns.start()])
-    found = loads.try_bench("spring", 7, "rich")
-    assert np.median(found["believed"]) > 5.0 * np.median(found["unseen"])
-    assert np.median(found["unseen"]) < loads.MEDIAN and max(found["unseen"]) < loads.TAIL
-
-
 def test_a_lag_of_the_thermometer_does_not_change_the_wires_parameters():
     believed = moving_lab("beam")
     truth = drawn(believed)
@@ -194,7 +181,7 @@ def test_a_lag_that_nobody_stated_does_not_decide_for_another_law():
 
 
 def test_a_resistance_stated_far_off_is_named_if_the_currents_do_not_fit_it():
-    truth = moving_lab("force")
+    truth = moving_lab("force", COSINE)
     record = recorded(truth, "triangle", 3, "voltage", "current", "temperature", "elongation")
     for off, named in ((1.0, False), (1.15, True)):
         stated = truth.replace({"wire.resistance": off * truth["wire.resistance"]},
@@ -225,7 +212,7 @@ def predicted(found, unseen, share=0.9):
     return band, np.interp(band.time, moved.time, moved.values)
 
 
-@pytest.fixture(scope="module", params=["cosine", "logistic", "normal"])
+@pytest.fixture(scope="module", params=["logistic", "normal"])
 def weighed(request):
     truth = bench(request.param, {"wire.resistance": 2.75, "effect.latent_heat.heat": 8e3})
     records = [run(truth, shape, seed) for seed, shape in enumerate(("triangle", "step"))]
@@ -237,9 +224,7 @@ def weighed(request):
 def test_the_law_is_identified_and_its_band_contains_a_hold_out(weighed):
     truth, found = weighed
     assert found.law.name == found.parameters["wire.law"] == truth["wire.law"]
-    # Where the load orients all martensite, the brinson law equals the cosine.
-    same = found.law.others.get("brinson", 0.0) if found.law.name == "cosine" else 0.0
-    assert found.law.probability > 0.6 and found.law.probability + same > 0.9
+    assert found.law.probability > 0.9
     assert found.law.probability + sum(found.law.others.values()) == pytest.approx(1.0)
     assert identification_from(found.to_json(), "result").law == found.law
     unseen = run(truth, "sine", 9, period=22.0)
@@ -305,19 +290,6 @@ def test_runs_that_do_not_repeat_are_reported_and_widen_the_band():
     measured = np.sqrt(np.mean([np.mean((a - b) ** 2) for a, b in pairs])) / np.ptp(moved[0])
     assert measured / 1.5 < restless < 1.5 * measured
     assert quiet < 0.5 * restless and narrow < wide
-
-
-def test_a_band_contains_a_bench_within_the_stated_uncertainties():
-    known = moving_lab("spring", stds={"wire.resistance": 0.1, "load.stiffness": 40.0})
-    drive = strokes(known, "triangle", 30.0, 60.0)
-    band = band_of(known, lambda own: signals_of(simulate(own, *drive)), 0.9)
-    low, high = band["elongation"].low, band["elongation"].high
-    assert not any(name.endswith("voltage") for name in band)
-    ohms = known["wire.resistance"]
-    within, far = (simulate(known.replace({"wire.resistance": ohms - off}), *drive).elongation[:, 0]
-                   for off in (0.05, 0.8))
-    assert np.all((within >= low) & (within <= high))
-    assert np.mean((far >= low) & (far <= high)) < 0.8
 
 
 def test_the_command_adds_the_band_to_its_result(tmp_path, monkeypatch):

@@ -12,11 +12,8 @@ from wire_records import Sensors, Wire, changed, ramp, staircase
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.identify.staircases import identify_thermal_expansion, steady_windows
-from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameter import EXACT_SENSORS
-from sma_bench.protocols import load_protocol
 from sma_bench.records.record import Record, Signal
 
 R, H, T0 = "wire.resistance", "wire.heat_transfer_coefficient", "environment.ambient_temperature"
@@ -144,32 +141,6 @@ def test_an_offset_between_clocks_is_separated_from_thermal_inertia():
     assert any("pass for thermal inertia" in text for text in remarks(found))
 
 
-@pytest.mark.compiled
-@pytest.mark.parametrize("late", [300_000, 5_000_000, 9_700_000])
-def test_steps_of_a_ramp_at_the_same_place_between_two_readings_are_no_delay(late):
-    """As on a bench in real time, where commands and readings have one clock."""
-    names = ("wire.voltage", "wire.temperature", "voltage_command")
-    bench = VirtualBench(PAPER, {p.name: p.default for p in SIMULATOR})
-    read, protocol, volts = {name: [] for name in names}, load_protocol("quick_ramp", PAPER), (0.0,)
-    for command in range(40 * 20):
-        at = command * 50_000_000 + late
-        for reading in bench.advance(volts, at):
-            if reading.kind == "power":
-                read[names[0]].append((reading.time / 1e9, reading.values[0][0]))
-            elif reading.kind == "temperature":
-                read[names[1]].append((reading.time / 1e9, reading.values[0] + 273.15))
-        volts = tuple(protocol.level(max(command / 20.0 - 1.0, 0.0)).tolist())
-        read[names[2]].append((at / 1e9, *volts))
-    signals = {n: Signal(n, u, *np.array(read[n]).T) for n, u in zip(names, "VKV", strict=True)}
-    found = ramps(Record(Path("bag"), 0, signals), parameters=PARAMETERS)
-    (e3,) = found.experiments
-    delay = e3.details["delay"]
-    assert abs(delay.value) < 2.0 * delay.std < 0.012
-    (reported,) = [f.numbers for f in e3.findings if "delay" in f.numbers]
-    assert abs(reported["delay"]) < 2.0 * reported["delay_std"] < 0.009
-    assert not any("pass for thermal inertia" in text for text in remarks(found))
-
-
 def test_without_a_jump_the_clock_offset_stays_in_the_error():
     found = ramps(ramp(rest=0.0, repeat=1))
     cp = found.estimates[CP]
@@ -284,7 +255,7 @@ def test_errors_in_the_cameras_messages_replace_those_of_its_data_sheet():
 
 
 # Monte Carlo: the stated errors are right.
-TRIALS = 12
+TRIALS = 8
 GAIN_STD = 3e-4  # of a calibrated voltmeter
 CALIBRATED = PAPER.replace(
     uncertainty={**EXACT_SENSORS, VOLTS: GAIN_STD, "sensor.temperature.lag": 0.0}
@@ -314,8 +285,8 @@ def deviation(seed):
 @pytest.mark.slow
 def test_95_percent_intervals_contain_the_true_numbers_as_often_as_they_should():
     errors = np.array([deviation(s) for s in range(TRIALS)])
-    # 36 numbers: 2.5 deviations of a binomial below 95 %.
-    assert np.mean(np.abs(errors) < 1.96) >= 0.86
+    # 24 numbers: 2.5 deviations of a binomial below 95 %.
+    assert np.mean(np.abs(errors) < 1.96) >= 0.83
     # No bias within the spread (three deviations of the mean), and errors not too large.
     assert np.all(np.abs(errors.mean(axis=0)) < 3.0 / np.sqrt(TRIALS)), errors.mean(axis=0)
     assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.2

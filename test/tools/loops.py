@@ -23,15 +23,13 @@ def alloy(number: int) -> list[IsobaricRecord]:
 def isobaric(
     stress: float, parameters: Parameters, *, noise: float = 2e-5, seed: int = 1,
     shift: float = 0.0, directions: tuple[str, ...] = ("heating", "cooling"),
-    span: tuple[float, float] = (293.15, 413.15), points: int = 600, growth: float = 0.0,
+    span: tuple[float, float] = (293.15, 413.15), points: int = 600,
     zero: float = 0.05,
 ) -> IsobaricRecord:  # fmt: skip
-    """One cycle at one stress (Pa); eps_L may grow with stress (1/Pa)."""
+    """One cycle at one stress (Pa)."""
     rng = np.random.default_rng(seed)
     theta, ambient = parameters["wire.thermal_expansion_factor"], 296.15
-    eps_l = parameters["wire.maximum_recoverable_strain"] * (
-        1.0 - np.exp(-growth * stress) if growth else 1.0
-    )
+    eps_l = parameters["wire.maximum_recoverable_strain"]
     branches = []
     for direction in directions:
         t = np.linspace(*span, points)
