@@ -62,18 +62,6 @@ def test_identification_is_that_of_the_command_and_prints_its_numbers(tmp_path, 
     assert "<td>" in found._repr_html_() and "wire.resistance" in found._repr_html_()
 
 
-def test_an_effect_is_switched_on_by_its_size_and_a_protocol_may_be_written_in_the_notebook():
-    steps = [{"kind": "hold", "level": 6.0, "duration": 5.0}, {"kind": "rest", "duration": 5.0}]
-    drive = {"steps": steps}
-    plain = sma_bench.simulate(drive, rate=RATE)
-    assert plain.time[-1] == pytest.approx(10.0, abs=0.2)
-    assert plain.voltage[10, 0] == 6.0 and plain.voltage[-2, 0] == 0.0
-    given = sma_bench.simulate(drive, {"effect.latent_heat.heat": 12e3}, rate=RATE)
-    named = sma_bench.simulate(drive, effects={"latent_heat": 12e3}, rate=RATE)
-    np.testing.assert_array_equal(named.temperature, given.temperature)
-    assert np.max(np.abs(named.temperature - plain.temperature)) > 1.0
-
-
 @pytest.mark.slow
 def test_a_diagnosis_becomes_a_table(planted_diagnosis):
     pytest.importorskip("pandas")

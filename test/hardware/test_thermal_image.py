@@ -39,25 +39,6 @@ def test_band_radiance_is_plancks_law_and_pixels_are_tenths_of_a_degree():
     assert slope == pytest.approx(np.diff(band([349.0, 351.0]))[0] / 2.0, rel=1e-4)
 
 
-def test_emissivity_and_reflection_are_corrected_and_the_error_is_that_of_many_draws():
-    for emissivity, reflected in ((1.0, 280.0), (0.3, 320.0)):
-        apparent = emissivity * thermal_scene.radiance(360.0)
-        apparent += (1 - emissivity) * thermal_scene.radiance(reflected)
-        kelvin, std = Surface(emissivity, reflected).temperature(float(apparent), 0.0)
-        assert kelvin == pytest.approx(360.0, abs=1e-3) and std == 0.0
-    random = np.random.default_rng(5)
-    surface = Surface(0.3, 300.0, emissivity_std=0.01, reflected_std=1.5)
-    apparent = float(Surface(0.3, 300.0).apparent(370.0))
-    noise = 0.02 * thermal_image.slope_at(370.0)
-    kelvin, std = surface.temperature(apparent, noise)
-    drawn = [
-        Surface(0.3 + 0.01 * a, 300.0 + 1.5 * b).temperature(apparent + noise * c, 0.0)[0]
-        for a, b, c in random.standard_normal((2000, 3))
-    ]
-    assert kelvin == pytest.approx(370.0, abs=1e-3)
-    assert std == pytest.approx(np.std(drawn), rel=0.06)
-
-
 def test_pictures_of_either_byte_order_and_padded_rows_are_read_and_a_wrong_one_is_one_line():
     pixels = np.arange(24, dtype=np.uint16).reshape(4, 6) * 1000
     padded = np.pad(pixels.astype("<u2"), ((0, 0), (0, 3)), constant_values=9)
@@ -119,24 +100,6 @@ def test_synthetic_pictures_agree_with_brute_force(thickness, sideways):
     excess = truth - thermal_scene.ROOM
     assert np.abs(frame - truth).max() < 0.06 + 0.03 * excess.max()
     assert frame.sum() == pytest.approx(truth.sum(), abs=0.01 * excess.sum())
-
-
-def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace():
-    upright = SyntheticWire((20.3, 5.0), (22.0, 55.0), 0.8)
-    lying = SyntheticWire((5.0, 20.3), (55.0, 22.0), 0.8)
-    assert lying.along_x and not upright.along_x
-    turned = SyntheticCamera(HEIGHT, WIDTH, [lying], noise=0.0).picture([350.0], 4.0)
-    camera = SyntheticCamera(WIDTH, HEIGHT, [upright], noise=0.0)
-    np.testing.assert_array_equal(turned, camera.picture([350.0], 4.0).T)
-    with pytest.raises(InputError, match="2 temperatures for 1 wires"):
-        camera.picture([300.0, 300.0])
-    outside = SyntheticWire((-20.0, 5.0), (-20.0, 55.0), 1.0)
-    camera = SyntheticCamera(WIDTH, HEIGHT, [outside], noise=0.0)
-    np.testing.assert_array_equal(camera.picture([400.0], -5.0), camera.empty())
-    assert camera.picture([400.0], 60.0).max() > camera.empty().max()
-    camera = SyntheticCamera(200, 200, [], noise=0.5)
-    one, other = (thermal_image.kelvin_from_raw(camera.empty()) for _ in range(2))
-    assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)
 
 
 # --- reports of the camera's node, and refusals at its start

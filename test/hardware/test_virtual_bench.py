@@ -13,7 +13,6 @@ from sma_bench.live.virtual_bench import NANOSECONDS, Lockstep, VirtualBench
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
-from sma_bench.physics.effects import with_effect
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
 PERFECT = SETTINGS | {name: 0.0 for name in SETTINGS if name.endswith(("_noise", "_resolution"))}
@@ -71,21 +70,6 @@ def test_mechanics_of_every_load_are_read_as_its_sensors_see_them():
         assert 0.5 * (back[-1] - front[-1]) / bent > 1.0
 
 
-def test_readings_of_a_pulse_do_not_depend_on_the_wait_before_it_and_pulses_differ():
-    def pulse(bench, begin):
-        found = [reading.values for k in range(begin + 1, begin + 41)
-                 for reading in bench.advance((2.0,), k * 50_000_000) if reading.kind != "ambient"]
-        list(bench.advance((0.0,), (begin + 100) * 50_000_000))
-        return found
-
-    early, late = VirtualBench(WIRE, SETTINGS), VirtualBench(WIRE, SETTINGS)
-    run(early, (0.0,), 1.0)
-    run(late, (0.0,), 2.5)
-    first, second = pulse(early, 20), pulse(early, 120)
-    assert [first, second] == [pulse(late, 50), pulse(late, 150)]
-    assert first != second
-
-
 def test_noise_and_steps_are_those_of_the_hardware_and_a_seeds_one_by_one_and_many_at_once():
     readings = run(VirtualBench(WIRE, SETTINGS), (3.0,), 20.0)
     volt, ampere = np.array([r.values[0] for r in readings["power"]]).T
@@ -102,26 +86,6 @@ def test_noise_and_steps_are_those_of_the_hardware_and_a_seeds_one_by_one_and_ma
     parts = [together.read_all(true[:10]), [together.read(true[10])], together.read_all(true[11:])]
     assert np.concatenate(parts).tobytes() == one_by_one.tobytes()
     assert not np.array_equal(other.read_all(true), one_by_one)
-
-
-def test_instruments_show_the_effects_that_are_on():
-    sizes = {"supply_drop": 0.3, "ambient_drift": 0.01, "temperature_underfill": 0.4}
-    rig, volts = COMPOSITE, (3.0, 0.0, 0.0, 0.0)
-    for effect, size in (sizes | {"deflection_drift": 1e-5}).items():
-        rig = with_effect(rig, effect, size)
-    last = {kind: found[-1] for kind, found in run(VirtualBench(rig, PERFECT), volts, 20.0).items()}
-    volt, ampere = last["power"].values[0]
-    assert ampere == pytest.approx(volt / (2.6987 + 0.3))
-    seconds = last["ambient"].time / NANOSECONDS
-    assert last["ambient"].values[0] == pytest.approx(23.0 + 0.01 * seconds, abs=1e-9)
-    wire = 9.0 * 2.6987 / 2.9987**2 / (403.26 * 395.84e-6)
-    hot, cold = last["temperature"].values[:3:2]
-    assert 0.6 * wire < hot - cold < 0.75 * wire
-    assert cold == pytest.approx(23.2, abs=0.01)
-    front, back = last["mechanics"].values
-    plain = simulate(rig, np.arange(0.0, 20.0, 0.01), np.tile(volts, (2000, 1)))
-    drift = plain.deflection[-1] + 1e-5 * last["mechanics"].time / NANOSECONDS
-    assert 0.5 * (back - front) == pytest.approx(drift, abs=1e-9)
 
 
 @pytest.mark.parametrize(("drive", "leads", "count"),

@@ -56,9 +56,8 @@ def test_planned_nodes_read_a_wire_by_its_pictures_until_the_camera_freezes(
     bench.until(lambda: power[-1].voltage < 0.1)
 
 
-def test_no_temperature_is_stamped_before_its_heat_and_the_scene_may_change_meanwhile(bench):
-    read, seen = bench.hear("wire/temperature"), []
-    bench.node.create_subscription(Image, "thermal_image", seen.append, 10)
+def test_no_temperature_is_stamped_before_its_heat(bench):
+    read = bench.hear("wire/temperature")
     bench.start("synthetic_camera", **SMALL, rate=25.0)
     bench.start("ir_camera", **SMALL)
     truth = bench.talk("wire/true_temperature", Temperature)
@@ -72,15 +71,6 @@ def test_no_temperature_is_stamped_before_its_heat_and_the_scene_may_change_mean
             read, lambda m: abs(m.temperature - celsius) < 5.0, lambda: heat(celsius)  # noqa: B023
         )  # fmt: skip
         assert 0 <= late < 1e9
-
-    def spread():
-        """Range of the pixel values (0.1 K) in the corner of the newest image."""
-        return int(np.ptp(np.frombuffer(seen[-1].data, "<u2").reshape(80, 120)[:20, :20]))
-
-    assert spread() > 3
-    for name in ("noise", "unevenness"):
-        assert bench.set_parameter("synthetic_camera", name, 0.0).successful
-    bench.until(lambda: spread() == 0)
     answer = bench.set_parameter("synthetic_camera", "wires", ["1 2 3"])
     assert not answer.successful and "expected 'X0 Y0 X1 Y1'" in answer.reason
 

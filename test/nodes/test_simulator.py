@@ -96,32 +96,6 @@ def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(
         assert got == [pytest.approx(values) for values in wanted]
 
 
-COMPILES_FOR_LONG = """
-import sys, time
-from sma_bench import compiled
-from sma_bench.nodes import simulator, start
-make = simulator.Simulator.__init__
-def made(self):
-    make(self)
-    with compiled._turn(None):
-        time.sleep(600)
-simulator.Simulator.__init__ = made
-start.simulator(sys.argv[1:])
-"""
-
-
-def test_a_simulator_that_still_compiles_ends_at_once_and_leaves_the_graph(bench):
-    """As at the first start after an installation."""
-    node = bench.run("compiles", ["-c", COMPILES_FOR_LONG, "--ros-args", "-r", "__ns:=/bench"])
-    bench.until(lambda: "waits for the comp" in node.output, 120.0)
-    bench.until(lambda: "simulator" in bench.node.get_node_names())
-    status = node.end()
-    assert "Traceback" not in node.output
-    if status != -signal.SIGALRM:  # so it ends where the machine is too busy for all else
-        assert status == 0
-        bench.until(lambda: "simulator" not in bench.node.get_node_names(), 10.0)  # no ghost
-
-
 def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(bench):
     """If two publishers do not sign their commands, neither of them drives."""
     power = bench.hear("wire/power")

@@ -119,15 +119,6 @@ def test_a_battery_sags_and_recovers_with_its_time_constant():
     assert np.abs(run.temperature - plain.temperature).max() < 1e-9
 
 
-def test_wire_and_silicone_are_exact_at_any_step():
-    silicone = "matrix_thermal_mass: heat_capacity=0.3 inner_share=0.35, "
-    rig = effect(COMPOSITE, silicone + "supply_drop: resistance=0.2")
-    time, voltage = pulses(0.5, 12.0)
-    run = simulate(rig, time, 0.5 * voltage)
-    assert np.all(run.martensite_fraction == 1.0)
-    assert run.temperature == pytest.approx(by_hand.Heat(rig).solve(time, 0.5 * voltage), abs=2e-6)
-
-
 @pytest.mark.parametrize(("sides", "matrix"), [("ffbb", 0.0), ("fffb", 0.2)])
 def test_all_effects_on_the_heat_together_converge_to_the_equations(sides, matrix):
     whole = {"f": "front", "b": "back"}

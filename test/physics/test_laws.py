@@ -6,7 +6,6 @@ import pytest
 from effect_references import COMPOSITE, WIRE, pulses
 from scipy.special import ndtr, ndtri
 
-from sma_bench.control import DeflectionController
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import LAWS, TRANSITIONS
@@ -293,19 +292,6 @@ def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
     own = {"normal": ["partial_transformation"], "brinson": ["residual_strain"]}
     refusing = (own | {"extended": own["brinson"]}).get(law, [])
     assert sorted(refused) == sorted(refusing + ["transformation_law"] * (law != "cosine"))
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_the_controller_reaches_a_deflection_under_every_law(law):
-    rig = of_law(Parameters.of_paper().replace({
-        "load.kind": "force", "load.force": 3.0, **GRADE, "wire.hysteresis_spread": 0.25,
-        "wire.detwinning_start_stress": 5e6,
-    }), law)  # fmt: skip
-    control = DeflectionController(rig, 0.02)
-    wanted = -2.5e-3
-    for _ in range(300):
-        control.step(wanted, np.nan)
-    assert control._nominal.deflection == pytest.approx(wanted, rel=0.02)
 
 
 def churchill_chu(diameter, excess, ambient):

@@ -133,19 +133,6 @@ def test_a_mistake_is_one_line_with_its_file_and_step(tmp_path):
     assert "temperature_staircase" in line
 
 
-@given(st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
-                    lambda inner: st.lists(inner, max_size=3)
-                    | st.dictionaries(st.sampled_from(["kind", "steps", "repeat", "drive", "level",
-                                                       "duration"]) | st.text(max_size=4), inner,
-                                      max_size=4), max_leaves=12))
-@settings(max_examples=50)
-def test_any_document_is_a_protocol_or_an_input_error(document):
-    try:
-        parse_protocol(document, WIRE, where="p.yaml")
-    except InputError as error:
-        assert "\n" not in str(error)
-
-
 def test_isobaric_hangs_a_wire_under_the_papers_force_unless_the_bench_has_a_load():
     protocol = load_protocol("isobaric", WIRE)
     for stated, force in (({}, 1.0), ({"load.force": 7.0}, 7.0)):

@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
 from sma_bench.identify.transition_temperatures import identify_transition_temperatures
@@ -151,24 +149,6 @@ def test_a_french_export_is_read(write):
     head = "Masse : 12,3 mg\nTemps (s);Temp. échantillon (°C);Flux de chaleur (mW)\n"
     run = open_record(write(head + "".join(rows)))
     assert run.mass == pytest.approx(12.3e-6) and len(run.segments) == 3
-
-
-@settings(max_examples=60, deadline=None)
-@given(data=st.data(), text=st.sampled_from([PYRIS, universal()[:2000]]))
-def test_any_damaged_file_gives_a_record_or_one_line(tmp_path_factory, data, text):
-    lines = text.split("\n")
-    for _ in range(data.draw(st.integers(1, 4))):
-        at = data.draw(st.integers(0, len(lines) - 1))
-        texts = st.lists(st.text(st.characters(max_codepoint=255), max_size=30), max_size=2)
-        lines[at : at + data.draw(st.integers(0, 3))] = data.draw(texts)
-    path = tmp_path_factory.mktemp("dsc") / "run.txt"
-    path.write_bytes("\n".join(lines).encode("latin-1") + data.draw(st.binary(max_size=20)))
-    try:
-        run = open_record(path)
-    except InputError as error:
-        assert "\n" not in str(error)
-    else:
-        assert isinstance(run, DscRecord) and run.mass > 0
 
 
 def test_real_file_has_its_eight_segments_and_counts_heat_into_the_sample_positive(measured_data):

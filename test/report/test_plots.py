@@ -53,15 +53,6 @@ def test_a_record_draws_what_is_asked_for(record):
         record.plot("current")
 
 
-def test_a_simulation_draws_its_states():
-    run = sma_bench.simulate("quick_staircase", rate=10.0)
-    labels = [ax.get_ylabel() for ax in run.plot().figure.axes]
-    assert [label.split()[0] for label in labels] == [
-        "voltage", "current", "temperature", "martensite", "stress"]  # it is clamped
-    with pytest.raises(InputError, match="no tip to draw"):
-        run.plot("tip")
-
-
 def test_a_figure_is_saved_for_a_paper_and_as_plain_numbers(record, tmp_path):
     plot = record.plot("temperature")
     for name in ("a.png", "a.svg", "a.pdf", "a.csv"):

@@ -49,10 +49,3 @@ def dictionary_text(target):
     table = pyarrow.table({"time_s": numbers, "voltage_V": numbers, "note": text})
     parquet.write_table(table, target, compression="zstd")
     return target
-
-
-def unfolding_tables(folder):
-    """One file of each kind."""
-    texts = b"<si><t>" + TEXT + b"</t></si>"
-    return [shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
-            dictionary_text(folder / "often.parquet")]

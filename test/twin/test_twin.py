@@ -116,9 +116,7 @@ def blind(kind, _, values):
     (BENCH, by_turns, 0.0, 60.0, None, SOUND),
     (CLAMPED, one_wire, 0.0, 30.0, None, SOUND),
     (BENCH, by_turns, 10.5, 30.0, None, SOUND),  # joins in a pulse
-    (BENCH, by_turns, 16.5, 30.0, None, SOUND),  # while the wire cools
     (BENCH, by_turns, 0.0, 60.0, coloured(0.3), None),
-    (BENCH, by_turns, 0.0, 60.0, coloured(30.0), None),
     (BENCH, by_turns, 0.0, 40.0, no_numbers, None),
     (BENCH, by_turns, 0.0, 60.0, blind, f"{SOUND}; not judged: thermal"),
 ])  # fmt: skip
@@ -144,7 +142,6 @@ def test_a_bench_that_follows_the_model_never_has_a_gap(
 
 
 @pytest.mark.parametrize(("load", "supply"), [("force", {"bench.drive": "duty"}),
-                                              ("spring", {"bench.lead_resistance": 0.3}),
                                               ("antagonist", {})])  # fmt: skip
 def test_wires_with_a_load_have_a_gap_only_with_an_effect(load, supply):
     rig = BENCH if load == "antagonist" else BENCH.replace(ONE_WIRE)
