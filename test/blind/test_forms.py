@@ -4,6 +4,7 @@ import pytest
 
 from examination.blind.cases import EFFECTS, IN_FORMS, draw_cases
 from examination.blind.make import make_label, size
+from examination.check.effects import claims_of
 from examination.check.forms import try_forms
 
 pytest.importorskip("numba", reason="whole records take minutes uncompiled")
@@ -31,3 +32,11 @@ def test_a_label_names_forms_and_says_what_the_given_records_can_tell():
     assert both["transformation_law"] == (both["law_distance"] > 2.0)
     assert one["severity"] == max(one["gap"]["record"].values()) <= both["severity"]
     assert one["separation"]["distance"] < both["separation"]["distance"]
+
+
+@pytest.mark.slow
+def test_the_numbers_of_an_effect_are_compared_with_the_best_fit_without_noise():
+    case = next(c for c in draw_cases(1000, 60) if c.card.kind == "single")
+    claims = claims_of(case)
+    assert len(claims) == 3 and not any(claim.same_meaning for claim in claims)
+    assert all(abs(claim.value - claim.true) < 3.0 * claim.std for claim in claims)
