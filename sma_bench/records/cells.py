@@ -224,7 +224,8 @@ def is_number_row(cells: Sequence[Any]) -> bool:
     """True for two or more cells with more numbers, dates and times than texts."""
     kinds = [cell_kind(cell) for cell in cells] if len(cells) > 1 else []
     marks = sum(is_missing(c) and str(c).lower() not in _MISSING for c in cells)  # ****, +OVER
-    return kinds.count("n") + kinds.count("d") > kinds.count("t") + marks
+    more = kinds.count("n") + kinds.count("d") - kinds.count("t") - marks
+    return more > 0 or (more == 0 and "d" in kinds and kinds.count("n") > 1)
 
 
 def decimal_signs(cells: Iterable[Any]) -> set[str]:
