@@ -31,6 +31,7 @@ from examination.blind.reality import Outcome, World
 from examination.blind.rigs import COMMAND_PERIOD, Stage
 from examination.blind.score import as_markdown, open_labels, score, side_by_side
 from examination.blind.sensors import measure
+from examination.check.effects import deviations_of
 from examination.pieces import options_of
 from sma_bench.diagnose.search import find_start, remainder, search
 from sma_bench.estimation import observation
@@ -150,6 +151,6 @@ def missed_by_the_search(case: Path, label: Label) -> float:
             values[k] = label["truth"][item.name]
             if item.partner:
                 values[k] *= label["truth"][item.partner] / nominal[item.partner]
-    true = unknowns.x_of(values)[: unknowns.bench]
+    true = deviations_of(unknowns, values)[: unknowns.bench]
     again = fit(best.problem, unknowns, np.concatenate([true, best.x[unknowns.bench :]]), far=True)
     return float(again.evidence - best.evidence)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from scipy.optimize import fsolve
 
 from examination.blind.cases import IN_FORMS, QUANTITIES, Case, draw_cases, split_of
 from examination.blind.judgement import UNSEEN, proportion, unseen_drive
@@ -28,7 +29,7 @@ from sma_bench.diagnose.search import find_start, remainder
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit, recalibrate
-from sma_bench.estimation.unknowns import unknowns_of_records
+from sma_bench.estimation.unknowns import TEMPERATURES, Unknowns, unknowns_of_records
 from sma_bench.records.record import Record
 
 INTERVAL = 1.645  # standard errors: 90 %
@@ -41,6 +42,19 @@ _SLOPE = "effect.stress_dependent_transition."
 
 # A number of an effect: estimate, its error by noise alone, true value; gain of the effect [nats].
 Claim = namedtuple("Claim", "case number value std noise_std true same_meaning gain")
+
+
+def deviations_of(unknowns: Unknowns, values: Sequence[float]) -> np.ndarray:
+    """(k,) prior deviations at which the unknowns have these values."""
+    x, moving = unknowns.x_of(values), np.isin(unknowns.names, TEMPERATURES)
+
+    def missed(own: np.ndarray) -> np.ndarray:
+        x[moving] = own
+        return (unknowns.values(x) - values)[moving]
+
+    if moving.any():  # transition temperatures move together
+        x[moving] = fsolve(missed, np.zeros(moving.sum()))
+    return x
 
 
 def claims_of(case: Case) -> list[Claim]:
@@ -76,7 +90,8 @@ def claims_of(case: Case) -> list[Claim]:
     clear = tuple(observe(recorded(stage, name, quiet), known, shortest) for name in drives)
     plain = unknowns_of_records(known, tuple({q: 0 for o in clear for q in o.quantities}))
     wanted = plain.with_effects(found.unknowns.effects)
-    x = np.clip(wanted.x_of(found.unknowns.values(found.x)), *wanted.bounds())
+    x = deviations_of(wanted, found.unknowns.values(found.x))
+    x = np.clip(x, *wanted.bounds())
     problem = replace(Problem.of(clear), noise=found.problem.noise)
     problem = problem.with_nuisances(wanted.parameters(x))
     fitted = wanted.values(fit(problem, wanted, x, rounds=2, keep_noise=True).x)

@@ -221,7 +221,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
     """(rows of the record, columns): effect on the readings of every input to every stage."""
     obs = obs.coarse
     base = obs.simulate(parameters)
-    before = np.concatenate(obs.readings(base))
+    before = obs.readings(base)
     times = np.concatenate([signal.time for signal in obs.signals])
     knots = np.linspace(obs.grid[0], obs.grid[-1], _KNOTS)
     hats, at_bins = _hats(obs.grid, knots), _hats(times, knots)
@@ -232,7 +232,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
 
     def driven(squares: Array) -> Array:
         """Change of the readings with these squared voltages (n, w)."""
-        return np.concatenate(obs.readings(obs.simulate(parameters, np.sqrt(squares)))) - before
+        return obs.readings(obs.simulate(parameters, np.sqrt(squares))) - before
 
     def averages(columns: Array) -> Array:
         return np.vstack([signal.average @ columns for signal in obs.signals])
@@ -246,7 +246,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
         for more in (power, _POWER * squares))
     # A transformation that comes early or late, or is another function of the temperature.
     shifted = parameters.replace({n: parameters[n] + _SHIFT for n in TRANSITIONS.values()})
-    shift = np.concatenate(obs.readings(obs.simulate(shifted))) - before
+    shift = obs.readings(obs.simulate(shifted)) - before
     rungs = ambient + np.linspace(0.0, float(warm.max()), _LEVELS + 1)
     levels = np.hstack([_hats(own, rungs)[:, 1:] for own in base.temperature.T])
     # A reading that depends on the drive directly, or is not linear.

@@ -314,7 +314,7 @@ def _planned(document: Mapping[str, Any], fitted: Fit, question: OpenQuestion,
     if hottest > limit:
         raise InputError(f"next experiment: the wires would reach {hottest:.0f} K, expected "
                          f"at most {limit:.0f}")
-    read = np.concatenate(obs.readings(simulation))
+    read = obs.readings(simulation)
     unknown = of_planned(obs, fitted.parameters, read)
     return Problem((obs,), noise | fitted.problem.noise, (unknown,)), read
 

@@ -105,7 +105,7 @@ def shrinkage(observations: Sequence[Observation], nominal: Parameters, recalibr
     # By quantity, a row a block: samples, the variance of their noise, sums of squares by model.
     found = defaultdict[str, list[Array]](list)
     for obs in observations:
-        models = [obs.readings(obs.simulate(p)) for p in (nominal, recalibrated, improved)]
+        models = map(obs.by_signal, obs.predict([nominal, recalibrated, improved]).T)
         for signal, *readings in zip(obs.signals, *models, strict=True):
             noise, usual = noises[signal.name], signal.usual_count
             which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)

@@ -11,27 +11,15 @@ from itertools import product
 import numpy as np
 from scipy.special import ndtri
 
+from sma_bench.arrays import Array
 from sma_bench.errors import FitError, InputError
-from sma_bench.estimation.noise_model import Array
+from sma_bench.estimation import solver
+from sma_bench.estimation import unknowns as priors
 from sma_bench.estimation.nuisances import OFFSET, STATE, STATES, in_state
 from sma_bench.estimation.observation import MOVED, RETURNS, Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.solver import (
-    Fit,
-    fit_imperfect,
-    independent_readings,
-    least_scale,
-    log_evidence,
-)
-from sma_bench.estimation.unknowns import (
-    TEMPERATURES,
-    Unknown,
-    Unknowns,
-    as_in_the_field,
-    range_of,
-    unknowns_of,
-    unknowns_of_records,
-)
+from sma_bench.estimation.solver import Fit
+from sma_bench.estimation.unknowns import Unknown, Unknowns
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECT_PREFIX
 from sma_bench.parameters.parameters import ORIENTING
@@ -108,9 +96,9 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
         done = len(fits) + len(faults)
         assumed = {"wire.law": law} | ({} if settled else {"wire.convection": air})
         try:
-            own = as_in_the_field(parameters.assuming(assumed, {}))
-            unknowns = unknowns_of_records(own, quantities, load_frame=framed, sides_apart=True,
-                                           unmodelled=True)
+            own = priors.as_in_the_field(parameters.assuming(assumed, {}))
+            unknowns = priors.unknowns_of_records(own, quantities, load_frame=framed,
+                                                  sides_apart=True, unmodelled=True)
             unknowns = replace(unknowns, items=(*unknowns.items, *more),
                                baseline=unknowns.baseline + len(more))
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
@@ -120,7 +108,7 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
                 ended |= dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
                 tries.append(np.array([ended[name] for name in unknowns.names]))
             share = part(report, done / count, (done + 1) / count, law)
-            fits[law, air] = fit_imperfect(problem, own, unknowns, tries, share)
+            fits[law, air] = solver.fit_imperfect(problem, own, unknowns, tries, share)
         except (FitError, InputError) as error:  # or the law contradicts stated parameters
             faults.append(InputError(str(error)))
 
@@ -128,8 +116,8 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
         fit_with(law, usual)
     if not fits:
         raise faults[0] if faults else InputError("no law of the wire was tried")
-    readings = max(independent_readings(one) for found, _ in fits.values() for one in found)
-    evidence = {law: max(log_evidence(one, readings) for one in found)
+    readings = max(solver.independent_readings(one) for found, _ in fits.values() for one in found)
+    evidence = {law: max(solver.log_evidence(one, readings) for one in found)
                 for (law, _), (found, _) in fits.items()}
     likeliest = max(evidence, key=evidence.__getitem__)
     for law, air in product(dict.fromkeys((likeliest, "cosine")), others):
@@ -143,7 +131,7 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
     every = [(key, one) for key, (found, _) in fits.items() for one in found]
     logs = np.array([np.log(PRIOR[law]) + np.log(airs.get(air, 1.0))
                      + np.log(_DIFFERENT if one.problem.states else 1.0 - _DIFFERENT)
-                     + _TEMPERED * log_evidence(one, readings)
+                     + _TEMPERED * solver.log_evidence(one, readings)
                      for (law, air), one in every])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
@@ -233,7 +221,7 @@ def predict(laws: Sequence[LawFit], observation: Observation,
     reach, random = reach_of(probability), np.random.default_rng(_BAND_SEED)
     means, weights, variances = [], [], []
     for weight, fitted, places in (own for one in laws for own in one.drawn):
-        differ = max(fitted.problem.states, least_scale(fitted))
+        differ = max(fitted.problem.states, solver.least_scale(fitted))
         runs = differ * random.standard_normal((len(places) // 2, len(STATES)))
         benches = [_moved(fitted.unknowns, x, off)
                    for x, off in zip(places, np.vstack([runs, -runs]), strict=True)]
@@ -245,9 +233,8 @@ def predict(laws: Sequence[LawFit], observation: Observation,
     shares, every = np.array(weights) / np.sum(weights), np.array(means)
     mean = shares @ every
     variance = shares @ (np.array(variances) + (every - mean) ** 2)
-    bands, ends = {}, np.cumsum([len(signal.time) for signal in observation.signals])[:-1]
-    for signal, own, spread in zip(observation.signals, np.split(mean, ends),
-                                   np.split(variance, ends), strict=True):
+    bands, parts = {}, (observation.by_signal(own) for own in (mean, variance))
+    for signal, own, spread in zip(observation.signals, *parts, strict=True):
         zero = RETURNS * float(np.ptp(own)) if signal.quantity in MOVED else 0.0
         bands[signal.name] = Band.about(signal.time, own, spread + zero**2, reach)
     return bands
@@ -280,10 +267,11 @@ def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
     if not stated:
         raise InputError("a band needs numbers with an uncertainty.NAME, the parameters have none")
     names = [n for n in stated if not n.startswith(EFFECT_PREFIX)]
-    if set(names) & set(TEMPERATURES):
-        names = [*(n for n in names if n not in TEMPERATURES), *TEMPERATURES]
-    shapes = {n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)}
-    unknowns = unknowns_of(parameters, names, shapes=shapes)
+    if set(names) & set(priors.TEMPERATURES):
+        names = [*(n for n in names if n not in priors.TEMPERATURES), *priors.TEMPERATURES]
+    shapes = {n: (parameters.std(n), *priors.range_of(n))
+              for n in stated if n.startswith(EFFECT_PREFIX)}
+    unknowns = priors.unknowns_of(parameters, names, shapes=shapes)
     random, k = np.random.default_rng(_BAND_SEED), len(unknowns.items)
     drawn = random.standard_normal((count, k + len(STATES)))
     return [_moved(unknowns, x[:k], x[k:]) for x in drawn]

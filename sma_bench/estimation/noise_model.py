@@ -26,6 +26,7 @@ _RATIOS = np.geomspace(0.1, 100.0, 13)  # drift over white, that are tried
 _FEW_LEVELS = 0.2  # of the samples: with more distinct values a signal counts as continuous
 _OFTEN, _EXACT = 0.01, 0.01  # least share of moves by one step; of the smallest gap: rounding
 _HARMONICS = 50  # of a converter's error
+_MOST_LAGS = 200  # of correlated noise
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,11 @@ def _add_powers(residual: Array, phi: Array, theta: Array, scale: Array, first: 
     powers += power
 
 
+def scatter(values: Array) -> float:
+    """Standard deviation of points (n,) about a smooth curve, by the median second difference."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
+
+
 def white_noise_level(values: Array) -> float:
     """Standard deviation of the noise between samples of a signal (n,), quantisation included:
     from second differences, in which a smooth signal cancels."""
@@ -227,26 +233,21 @@ def quantisation_variance(scatter: float, step: float, left: Array | float = 1.0
     return float(np.sum(step**2 / (2.0 * np.pi**2 * k**2) * decay * np.square(left)))
 
 
-def autocorrelation(residuals: Sequence[Array], longest: int = 200) -> Array:
-    """(m,) correlations at lags 0 .. m-1 of stretches (n_i,) of one noise process, without gaps
-    worth mentioning; [1.] for white noise. They are cut at the first lag below twice its own
-    standard error (Geyer's initial positive sequence, made stricter)."""
+def inflation(residuals: Sequence[Array]) -> float:
+    """Factor 1 + 2 sum rho by which coloured noise enlarges the variance of a mean (>= 1), from
+    stretches (n_i,) of one noise process. The correlations rho are cut at the first lag below twice
+    its own standard error (Geyer's initial positive sequence, made stricter)."""
     usable = [r - r.mean() for r in residuals if len(r) > 3]
     total = sum(len(r) for r in usable)
     power = sum(float(r @ r) for r in usable)
     if total == 0 or power == 0.0:
-        return np.ones(1)
+        return 1.0
     found = [1.0]
-    for lag in range(1, min(longest, max(len(r) for r in usable) // 3) + 1):
+    for lag in range(1, min(_MOST_LAGS, max(len(r) for r in usable) // 3) + 1):
         pairs = [(r[:-lag], r[lag:]) for r in usable if len(r) > lag]
         count = sum(len(a) for a, _ in pairs)
         value = sum(float(a @ b) for a, b in pairs) / power * total / count
         if value < 2.0 / math.sqrt(count):
             break
         found.append(value)
-    return np.array(found)
-
-
-def inflation(correlation: Array) -> float:
-    """Factor 1 + 2 sum rho by which coloured noise enlarges the variance of a mean (>= 1)."""
-    return float(max(1.0, 2.0 * np.sum(correlation) - 1.0))
+    return float(2.0 * np.sum(found) - 1.0)

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
-from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import JUMP_STD, STATES, BinnedSignal, Observation, in_state
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
@@ -81,17 +81,16 @@ def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collecti
     return replace(observation, voltage=volts, place=place, delays=delays), kept
 
 
-def nuisances_about(observation: Observation, parameters: Parameters, voltage_noise: bool = False,
+def linearised(observation: Observation, parameters: Parameters, voltage_noise: bool = False,
                     states: float = 0.0) -> Nuisances:
     """All of a record, linearised at these parameters; `voltage_noise`: with errors of straight
     voltage stretches; `states`: with the state of its run, so many times the usual."""
     simulation = observation.simulate(parameters)
-    base = np.concatenate(observation.readings(simulation))
+    base = observation.readings(simulation)
 
     def moved(drive: tuple[Any, ...] | None, loads: Array | None) -> Array:
         voltage = observation.drive.on_grid(observation.grid, *drive) if drive else None
-        there = observation.simulate(parameters, voltage, loads)
-        return np.concatenate(observation.readings(there)) - base
+        return observation.readings(observation.simulate(parameters, voltage, loads)) - base
 
     found, rates = _zeros(observation.signals), observation.rates(simulation)
     for quantity in observation.quantities:

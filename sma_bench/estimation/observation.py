@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import Array, noise_floor
+from sma_bench.estimation.noise_model import noise_floor
 from sma_bench.estimation.rig import DRIVEN, LOAD_FRAME, Hold, Measured, Rig, begins_warm, find_rig
 from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side
 from sma_bench.parameters import Parameters
@@ -233,15 +234,19 @@ class Observation:
             for name in _HISTORIES}
         return replace(parts[0], final=parts[-1].final, **joined)
 
-    def readings(self, simulation: Simulation) -> list[Array]:
-        """Readings of the model's sensors, one (b,) array a signal."""
-        flat = self._averages @ self._on_grid(simulation)
-        return np.split(flat, np.cumsum([len(s.time) for s in self.signals])[:-1])
+    def readings(self, simulation: Simulation) -> Array:
+        """(b,) readings of the model's sensors, signal after signal."""
+        of = {quantity: _history(quantity, simulation) for quantity in self.quantities}
+        which = [(of[s.quantity], s.wire) for s in self.signals]
+        return self._averages @ np.concatenate([own[:, wire % own.shape[1]] for own, wire in which])
 
     def predict(self, benches: Sequence[Parameters]) -> Array:
-        """(b, p) readings of the sensors of p benches, signal after signal."""
-        return np.column_stack([self._averages @ self._on_grid(self.simulate(bench))
-                                for bench in benches])
+        """(b, p) readings of p benches."""
+        return np.column_stack([self.readings(self.simulate(bench)) for bench in benches])
+
+    def by_signal(self, readings: Array) -> list[Array]:
+        """Readings (b,) in parts, one a signal."""
+        return np.split(readings, np.cumsum([len(s.time) for s in self.signals])[:-1])
 
     @cached_property
     def _averages(self) -> csr_array:
@@ -257,12 +262,6 @@ class Observation:
         history = histories[:, signal.wire % histories.shape[1]]
         delay = self.delays.get(signal.quantity, 0.0)
         return np.interp(self.grid - delay, self.grid, history) if delay else history
-
-    def _on_grid(self, simulation: Simulation) -> Array:
-        """(signals n,) of all signals on the grid, one after the other, without delays."""
-        of = {quantity: _history(quantity, simulation) for quantity in self.quantities}
-        which = [(of[s.quantity], s.wire) for s in self.signals]
-        return np.concatenate([own[:, wire % own.shape[1]] for own, wire in which])
 
     def rates(self, simulation: Simulation) -> list[Array]:
         """d/dt of each signal, bin by bin."""

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
 from sma_bench.arrays import Array
+from sma_bench.estimation.noise_model import scatter
 
 FEWEST_IN_LINE = 10  # samples
 CLEAR = 6.0  # standard errors of a bend, or of a step
@@ -63,8 +64,7 @@ def _mark_curved(time: Array, voltage: Array, spans: Sequence[Span], is_curved: 
     """Also mark as curved: lines that turn the same way several times in a row, and short straight
     ones between two curved. With a coarse converter a span of few steps is never curved, because
     the curve would follow the steps."""
-    scatter = float(np.median(np.abs(np.diff(voltage, 2)))) / 0.6745 / np.sqrt(6.0)
-    is_fine = step <= max(_FINE * float(np.ptp(voltage)), scatter / TOGGLES)
+    is_fine = step <= max(_FINE * float(np.ptp(voltage)), scatter(voltage) / TOGGLES)
     passes = [is_fine or bool(np.ptp(voltage[a:b]) > _PASSED * step) for a, b in spans]
     is_curved[:] = [bow and enough for bow, enough in zip(is_curved, passes, strict=True)]
     slopes = [np.polyfit(time[a:b] - time[a], voltage[a:b], 1)[0] for a, b in spans]
@@ -102,8 +102,7 @@ def _corner(time: Array, volts: Array, step: float) -> tuple[int, bool]:
     t = time - time.mean()
     slope, level = np.polyfit(t, volts, 1)
     left, rise = volts - slope * t - level, slope * (time[-1] - time[0])
-    white = float(np.median(np.abs(np.diff(left, 2)))) / 0.6745 / np.sqrt(6.0)
-    least = max(white, step / np.sqrt(12.0), ROUNDING * float(np.max(np.abs(volts))))
+    least = max(scatter(left), step / np.sqrt(12.0), ROUNDING * float(np.max(np.abs(volts))))
     if np.max(np.abs(np.cumsum(left))) <= least * np.sqrt(n):
         return 0, False
     # For a hinge at each sample, without its straight part: its power, and the power it explains.

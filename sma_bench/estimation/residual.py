@@ -14,17 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, cho_factor
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
-from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import (
-    NONLINEAR,
-    STATE,
-    TICK,
-    Nuisances,
-    moved_to,
-    nuisances_about,
-)
+from sma_bench.estimation.noise_model import Noise, estimate_noise, first_guess, whiten
+from sma_bench.estimation.nuisances import NONLINEAR, STATE, TICK, Nuisances, linearised, moved_to
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
@@ -77,7 +71,7 @@ class Problem:
         """With nuisances linearised at these parameters, about where they were `moved` to."""
         asked = [(o, parameters, self.voltage_noise, states or (self.later if k else 0.0))
                  for k, o in enumerate(self.observations)]
-        pairs = zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
+        pairs = zip(in_threads(linearised, asked), self.nuisances, strict=True)
         found = tuple(replace(new, about=own.about) if len(new.items) == len(own.items) else new
                       for new, own in pairs)
         return replace(self, nuisances=found, states=states, shared={})
@@ -98,7 +92,7 @@ class Problem:
                                           strict=True):
             differs = self.later if nuisances else 0.0
             there, about = moved_to(observation, own, here, kinds, differs)
-            found = nuisances_about(there, parameters, self.voltage_noise, differs)
+            found = linearised(there, parameters, self.voltage_noise, differs)
             observations.append(there)
             nuisances.append(replace(found, about=about))
         return replace(self, observations=tuple(observations), nuisances=tuple(nuisances),

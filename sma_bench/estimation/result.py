@@ -5,12 +5,13 @@ their priors alone; both are given here, with the error that this leaves."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.nuisances import DELAY, OFFSET
+from sma_bench.arrays import Array
+from sma_bench.estimation.nuisances import DELAY, OFFSET, Nuisance
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import Unknown, range_of
 from sma_bench.records.contract import CELSIUS_ZERO
@@ -41,17 +42,13 @@ class Number:
     shares: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Off:
-    """A sensor's zero or the delay of its timestamps; `prior_std`: before the fit."""
+class Off(NamedTuple):
+    """A sensor's zero or the delay of its timestamps, with its prior `item`, in the item's unit."""
 
-    kind: str
+    item: Nuisance
     path: str
-    subject: str
     value: float
     std: float
-    prior_std: float
-    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +117,7 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
     pairs = zip(fitted.problem.observations, fitted.problem.nuisances, strict=True)
     named = [(observation.path, item) for observation, own in pairs for item in own.items]
     off = tuple(
-        Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
+        Off(item, path, z * item.std, error * item.std)
         for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
         if item.kind in (OFFSET, DELAY))
     # A start ended where the best one did if it is about as probable, or near in all unknowns.
@@ -152,7 +149,7 @@ def scale_errors(fitted: Fit) -> dict[str, Array]:
         for one in problem.observations:
             there, here = (one.readings(one.simulate(parameters, volts))
                            for volts in (factor * one.voltage + offset, one.voltage))
-            found += [now - up for up, now in zip(there, here, strict=True)]
+            found.append(here - there)
         return np.concatenate(found)
 
     rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])

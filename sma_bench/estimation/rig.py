@@ -5,14 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import (
-    Array,
-    autocorrelation,
-    inflation,
-    noise_floor,
-    white_noise_level,
-)
+from sma_bench.estimation import noise_model
 from sma_bench.estimation.unknowns import LOADS
 from sma_bench.estimation.voltage import (
     FEWEST_SAMPLES,
@@ -38,7 +33,6 @@ from sma_bench.records.record import (
 
 _MOST_BINS = 1500  # per signal
 _SAMPLES_A_BIN = 2.0  # at least
-_FEWEST_SAMPLES = 20
 _ZERO_STD = 1e-4  # m, of a testing machine's zero that was set with care
 DRIVEN = 0.02  # of the largest voltage: a wire with less is not driven
 # Changes of readings at 0 V before the first drive that show that a bench has not settled: in their
@@ -100,7 +94,6 @@ class Measured:
 class Rig:
     """Wires, their voltages and loads, and all measured signals."""
 
-    record: Record
     channels: tuple[str, ...]
     sides: tuple[str, ...]
     voltage: AppliedVoltage
@@ -130,7 +123,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     moves, moved = pulls_a_load(record, parameters), None
     if load_kind(parameters) == "displacement":
         time, metres = imposed_elongation(record)
-        if len(time) < _FEWEST_SAMPLES:
+        if len(time) < FEWEST_SAMPLES:
             raise InputError(f"{record.path}: {len(time)} samples of elongation, too few to impose")
         # Noise is removed from ramps and holds as from those of a voltage; in tenths of the stroke.
         unit = 0.1 * float(np.ptp(metres)) or 1.0
@@ -165,7 +158,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     # known only within bounds), and elongations while the load changes (`_MARGIN`).
     measured = []
     for one in found:
-        if len(one.time) < _FEWEST_SAMPLES:
+        if len(one.time) < FEWEST_SAMPLES:
             continue
         known = one.time < stop + _AFTER
         if one.quantity == "current":
@@ -178,7 +171,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     if not measured:
         raise InputError(
             f"{record.path}: only voltages, expected currents, temperatures or a deflection too")
-    return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms, moved)
+    return Rig(channels, sides, voltage, start, stop, holds, tuple(measured), ohms, moved)
 
 
 def begins_warm(rig: Rig, parameters: Parameters) -> bool:
@@ -196,7 +189,8 @@ def begins_warm(rig: Rig, parameters: Parameters) -> bool:
             continue
         first, last = float(np.median(rest[:some])), float(np.median(rest[-some:]))
         absolute, share = _SETTLES[one.quantity]
-        limit = max(absolute, share * np.ptp(one.values), _CLEAR * noise_floor(one.values))
+        clear = _CLEAR * noise_model.noise_floor(one.values)
+        limit = max(absolute, share * np.ptp(one.values), clear)
         above = first - parameters["environment.ambient_temperature"]
         if abs(first - last) > limit or (one.quantity == "temperature" and above > _WARM):
             return True
@@ -218,7 +212,8 @@ def is_clamped(record: Record) -> bool:
     if not has_samples(record, "elongation"):
         return True
     elongation = samples(record, "elongation")[1]
-    return float(np.std(elongation)) <= max(_STILL * white_noise_level(elongation), 1e-9)
+    noise = noise_model.white_noise_level(elongation)
+    return float(np.std(elongation)) <= max(_STILL * noise, 1e-9)
 
 
 def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
@@ -271,7 +266,7 @@ def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
 def _mean(values: Array) -> tuple[float, float]:
     """Mean and its standard error, which counts autocorrelated noise."""
     centred = values - values.mean()
-    factor = inflation(autocorrelation([centred]))
+    factor = noise_model.inflation([centred])
     return float(values.mean()), float(np.std(centred) * np.sqrt(factor / len(values)))
 
 

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import cho_solve
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
-from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import STATE, STATES, TICK
 from sma_bench.estimation.residual import DRIFT_EFFECT, USUAL_MISFIT, USUAL_WEIGHT, Problem
 from sma_bench.estimation.unknowns import Unknowns, shares_of_factor

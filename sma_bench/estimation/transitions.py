@@ -1,7 +1,6 @@
 """The four transition temperatures as a fit moves them: together, so that they stay in order."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -124,16 +123,6 @@ class Transitions:
         steps = _TINY * np.eye(len(x))
         columns = [self.values(x + step) - self.values(x - step) for step in steps]
         return np.asarray(np.column_stack(columns)[self.moving] / (2.0 * _TINY))
-
-    def x_of(self, values: Sequence[float] | Array) -> Array:
-        """Inverse of `values`."""
-        prior, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
-        logs = (prior > 0.0) & (found > 0.0) & (np.arange(4) > 0)
-        found[logs] = prior[logs] * (1.0 + np.log(found[logs] / prior[logs]))
-        rows = slice(1 if len(self.moving) < 4 else 0, None)  # exact ones place the centre
-        columns, off = _COORDINATES[rows, self.moving], (found - prior)[rows]
-        straight = np.linalg.lstsq(columns, off, rcond=None)[0]
-        return np.asarray(np.linalg.solve(self.turn, straight))
 
     def of_grains(self, four: Array, spread: float, prior: float) -> Array:
         """(4,) K for a `spread` of the hystereses of grains. Ranges come from the spread of their

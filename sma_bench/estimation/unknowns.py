@@ -13,14 +13,8 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.border import read_yaml
-from sma_bench.estimation.transitions import (
-    FIELD_TEMPERATURES,
-    HIGHEST,
-    LOWEST,
-    NARROWEST,
-    TEMPERATURES,
-    Transitions,
-)
+from sma_bench.estimation import transitions
+from sma_bench.estimation.transitions import TEMPERATURES, Transitions
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECT_TABLE, Parameter
 from sma_bench.parameters.parameters import BRANCH, ORIENTING, SMOOTHER, load_kind, nearest_spread
@@ -174,14 +168,8 @@ class Unknowns:
         return found
 
     def x_of(self, values: Iterable[float]) -> Array:
-        """(k,) of values in their units."""
-        given = list(values)
-        x = np.array([item.x_of(v) for item, v in zip(self.items, given, strict=True)])
-        if self.transitions is not None:
-            four = self.transitions.mean.copy()
-            four[self.transitions.moving] = given[self._together]
-            x[self._together] = self.transitions.x_of(four)
-        return x
+        """(k,) of values in their units; not for transition temperatures, which move together."""
+        return np.array([item.x_of(v) for item, v in zip(self.items, values, strict=True)])
 
     def parameters(self, x: Array) -> Parameters:
         """The bench at x."""
@@ -196,13 +184,13 @@ class Unknowns:
                 apart = abs(a_f - a_s - m_s + m_f) / (2.0 * BRANCH * _WIDEST_SPREAD)
                 least = max(_LEAST_HALF_WIDTH, apart)
                 lack = max(4.0 * least - (a_s + a_f - m_s - m_f), 0.0) / 2.0
-                four[TEMPERATURES[3]] = lower = max(m_f - lack, LOWEST)
+                four[TEMPERATURES[3]] = lower = max(m_f - lack, transitions.LOWEST)
                 lack -= m_f - lower
-                four[TEMPERATURES[2]] = upper = max(m_s - lack, lower + NARROWEST)
+                four[TEMPERATURES[2]] = upper = max(m_s - lack, lower + transitions.NARROWEST)
                 if (lack := 4.0 * least - (a_s + a_f - upper - lower)) > _TINY:  # at the low end
-                    four[TEMPERATURES[1]] = finish = min(a_f + lack / 2.0, HIGHEST)
+                    four[TEMPERATURES[1]] = finish = min(a_f + lack / 2.0, transitions.HIGHEST)
                     lack -= finish - a_f
-                    four[TEMPERATURES[0]] = min(a_s + lack, finish - NARROWEST)
+                    four[TEMPERATURES[0]] = min(a_s + lack, finish - transitions.NARROWEST)
                 values |= four
                 values[SPREAD] = nearest_spread(four, values.get(SPREAD, self.base[SPREAD]))
         values |= {other: values[name] for other, name in self.tied.items()}
@@ -316,7 +304,7 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
         values[END] = math.sqrt(_CONDUCTIVITY * parameters["wire.diameter"] / loss)
         std[END] = _END * values[END]
     if not parameters.given.intersection(TEMPERATURES):
-        values |= dict(zip(TEMPERATURES, FIELD_TEMPERATURES, strict=True))
+        values |= dict(zip(TEMPERATURES, transitions.FIELD_TEMPERATURES, strict=True))
     return parameters.assuming(values, std)
 
 
@@ -384,15 +372,15 @@ def unknowns_of(parameters: Parameters, names: Sequence[str], *,
 def range_of(name: str) -> tuple[float, float]:
     """Lowest and highest value of a parameter, in its unit."""
     low, high = BY_NAME[name].low, BY_NAME[name].high
-    return -math.inf if low is None else float(low), math.inf if high is None else float(high)
+    assert low is not None and high is not None  # as for every number
+    return float(low), float(high)
 
 
 def number_of_effect(number: Parameter) -> Unknown:
     """An effect's number about its default, moved by its logarithm where that is not 0."""
-    assert number.low is not None and number.high is not None and isinstance(number.default, float)
-    std = float(number.uncertainty or 1.0)
-    log = number.default != 0.0
-    return Unknown(number.name, number.default, std, number.low, number.high, log)
+    assert isinstance(number.default, float)
+    std, log = float(number.uncertainty or 1.0), number.default != 0.0
+    return Unknown(number.name, number.default, std, *range_of(number.name), log)
 
 
 def shares_of_factor(name: str, value: float, parameters: Parameters) -> dict[str, float]:

@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.arrays import IntArray
+from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import Array, coherence, quantisation_variance, resolution
+from sma_bench.estimation.noise_model import coherence, quantisation_variance, resolution
 from sma_bench.estimation.pieces import (
     CLEAR,
     FEWEST_IN_LINE,

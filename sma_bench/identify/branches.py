@@ -12,8 +12,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from sma_bench.arrays import Array
-from sma_bench.estimation.noise_model import autocorrelation, inflation
-from sma_bench.identify.estimate import MODULI, Line, scatter, straight_line
+from sma_bench.estimation.noise_model import inflation, scatter
+from sma_bench.identify.fits import MODULI, Line, straight_line
 from sma_bench.identify.result import refusal
 from sma_bench.parameters import Parameters
 from sma_bench.records.instruments import Branch
@@ -283,7 +283,7 @@ def _fit(branch: Branch, bins: Bins,
     size = np.where(size > 0.0, size, 1.0)
     scaled = design / size
     bread = np.linalg.pinv(scaled.T @ scaled)
-    correlated = inflation(autocorrelation([used])) * n / max(n - count, 1)
+    correlated = inflation([used]) * n / max(n - count, 1)
     rows = scaled * used[:, None]
     covariance = bread @ (rows.T @ rows) @ bread * correlated / np.outer(size, size)
     # The step: distance of the lines in the middle, to which slopes that are kept contribute.

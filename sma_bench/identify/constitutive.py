@@ -23,16 +23,15 @@ import numpy as np
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.noise_model import autocorrelation, inflation
+from sma_bench.estimation.noise_model import inflation
 from sma_bench.findings import Finding
 from sma_bench.identify.branches import Bins, strain_tangents
-from sma_bench.identify.estimate import MODULI, SYMBOLS
+from sma_bench.identify.fits import MODULI, SYMBOLS
 from sma_bench.identify.isobaric import SMALLEST_STRESS_RANGE, with_scales
 from sma_bench.identify.result import Correlation, Experiment, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION
-from sma_bench.physics.laws.extended import grown
 from sma_bench.progress import Report, part, silent
 from sma_bench.records.instruments import STRONGEST, Branch, Cycle, IsobaricRecord
 
@@ -148,7 +147,7 @@ def _grown(p: Mapping[str, float], s: float) -> float:
     """Transformation strain at the stress s, in units of the reference."""
     if "k" not in p:
         return p["eps_L"]
-    return p["H_min"] + p["dH"] * float(grown(s, 0.0, 1.0 / p["k"]))
+    return p["H_min"] + p["dH"] * (1.0 - math.exp(-p["k"] * max(s, 0.0)))
 
 
 def _slopes(law: Law, ends: Sequence[str]) -> list[str]:
@@ -234,7 +233,7 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
     for loop, own in zip(loops, found, strict=True):
         ends = np.cumsum([int(bins.which.max()) + 1 for _, bins in loop.branches])[:-1]
         pieces.extend(np.split(own / loop.recovered, ends))
-    correlated, meat = inflation(autocorrelation(pieces)), np.zeros_like(bread)
+    correlated, meat = inflation(pieces), np.zeros_like(bread)
     begins = np.cumsum([len(own) for own in found])[:-1]
     for loop, own, rows in zip(loops, found, np.split(jacobian, begins), strict=True):
         meat += correlated * freedom * np.mean(own**2) / loop.recovered**2 * (rows.T @ rows)
@@ -374,7 +373,7 @@ def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
     """Fit error of each law at each stress; unknowns at a bound and fixed numbers of the last."""
     for fit in fits:
         errors, fails = fit.errors, max(fit.errors.values()) >= _TOLERANCE
-        more = f"; above {_TOLERANCE:.0%}" * fails
+        more = f"; above {_TOLERANCE:.0%}" if fails else ""
         if fails and fit.law == "contract" and len(errors) > 1:
             more += ": a constant eps_L and constant C_A, C_M do not suffice for this material"
         yield remark("fit error", "warning" if fails else "info", law=fit.law, more=more,

@@ -18,7 +18,7 @@ from sma_bench.estimation.solver import fit
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.findings import Finding
 from sma_bench.identify import constitutive, signals, staircases, whole_model
-from sma_bench.identify.estimate import SYMBOLS, combine
+from sma_bench.identify.fits import SYMBOLS, combine
 from sma_bench.identify.isobaric import identify_isobaric, isobaric_tests
 from sma_bench.identify.result import Experiment, Identification, Law, SignalFit, remark
 from sma_bench.identify.run import SIGNIFICANT, IdentificationRun, about_wire
@@ -93,7 +93,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     whole = _whole_model(run, bags, report)
     report(_WHOLE_MODEL if whole else 0.0, "experiments")
     still = [r for r in bags if not (whole and signals.moves(r, parameters))]
-    drives, read = list[tuple[Record, signals.ChannelDrive]](), list[Record]()
+    drives, read = list[tuple[Record, signals.Drive]](), list[Record]()
     for record in still:
         try:
             drives += [(record, drive) for drive in signals.find_drives(record)]
@@ -194,7 +194,7 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
         """Staircases (or drives with ramps) with this signal; notes why other drives fail."""
         found = []
         for record, drive in drives if name in run.wanted else ():
-            if not (drive.segments.ramps if ramps else drive.staircase.is_one):
+            if not (drive.segments.ramps if ramps else drive.is_staircase):
                 run.fail(name, f"{record.path}: {drive.describe()}", meant=False)
             elif not has_samples(record, f"{drive.channel}.{quantity}"):
                 run.fail(name, f"{record.path}: no signal {drive.channel}.{quantity}")
@@ -217,14 +217,14 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
         return staircases.heated(run.known(_R), run.given, _R in run.estimates)
 
     for record, drive in serving("E1", "current"):
-        each = partial(staircases.identify_resistance, record, drive.staircase, run.given)
+        each = partial(staircases.identify_resistance, record, drive, run.given)
         run.attempt("E1", each)
     if done := run.of("E1"):
         compare(_R, [e.estimates[_R] for e in done])
         run.join("E1")
     # E2: combine gains, which are independent; coefficients would all contain the same resistance.
     for record, drive in serving("E2", "temperature"):
-        each = partial(staircases.identify_heat_transfer, record, drive.staircase, run.given)
+        each = partial(staircases.identify_heat_transfer, record, drive, run.given)
         run.attempt("E2", partial(each, warm()))
     gains = [e.details[staircases.GAIN] for e in run.of("E2")]
     if gains:
@@ -350,12 +350,6 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
     curves = loops[-1].curves if loops else {}
     for name, strain in curves.items():
         stem, _, kind = name.rpartition("/")
-        if kind != "strain" or len(strain) < 3:
-            continue
-        strained = curves.get(f"{stem}/model")
-        if strained is None:
-            cosine = curves[f"{stem}/cosine"]
-            kelvin, modelled = cosine[np.argsort(cosine[:, 0])].T
-            strained = np.interp(curves[f"{stem}/temperature"], kelvin, modelled)
-        rms, reach = float(np.sqrt(np.mean((strain - strained) ** 2))), float(np.ptp(strain))
-        yield "strain", SignalFit.judged(rms, noise_floor(strain), reach, "1")
+        if kind == "strain" and len(strain) >= 3:
+            rms = float(np.sqrt(np.mean((strain - curves[f"{stem}/model"]) ** 2)))
+            yield "strain", SignalFit.judged(rms, noise_floor(strain), float(np.ptp(strain)), "1")

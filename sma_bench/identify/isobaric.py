@@ -16,9 +16,9 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.rig import find_rig
 from sma_bench.findings import Finding
-from sma_bench.identify import branches, estimate
+from sma_bench.identify import branches, fits
 from sma_bench.identify.branches import BranchCosine, Number, StrainTangents
-from sma_bench.identify.estimate import GAUGE, MODULI, SYMBOLS, fit_linear, mean_of_repeats
+from sma_bench.identify.fits import GAUGE, MODULI, SYMBOLS, fit_linear, mean_of_repeats
 from sma_bench.identify.result import Experiment, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
@@ -107,7 +107,7 @@ def identify_isobaric(records: Sequence[IsobaricRecord], parameters: Parameters)
         for way, found in ((way, found) for way, found in along.items() if found):
             for end, name in enumerate(PHASES[way][:2]):
                 for convention in get_args(Convention):
-                    mean = estimate.mean_and_deviation([r.ends(convention)[end] for r in found])
+                    mean = fits.mean_and_deviation([r.ends(convention)[end] for r in found])
                     words = f"{convention}, {len(found)} readings: mean and deviation"
                     label = f"{name} ({convention}) at {stress / 1e6:.0f} MPa"
                     details[label] = Estimate(*mean, "K", words, _points(found))
@@ -120,6 +120,7 @@ def identify_isobaric(records: Sequence[IsobaricRecord], parameters: Parameters)
     for r in readings:
         shown = {"temperature": r.branch.temperature, "strain": r.branch.strain,
                  "tangents": r.tangents.polyline(r.branch),
+                 "model": np.interp(r.branch.temperature, r.cosine.temperature, r.cosine.strain),
                  "cosine": np.column_stack([r.cosine.temperature, r.cosine.strain])}
         stem = f"{r.record.name}/{r.cycle}/{r.branch.direction}"
         curves |= {f"{stem}/{kind}": curve for kind, curve in shown.items()}
@@ -156,7 +157,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
 def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> dict[str, Estimate]:
     """The same with systematic errors of thermometer, gauge length and section."""
     shares: dict[str, dict[str, float]] = {}
-    section = 2.0 * estimate.diameter_error(parameters)
+    section = 2.0 * fits.diameter_error(parameters)
     for sign, (*ends, label) in zip((1.0, -1.0), PHASES.values(), strict=True):
         for symbol in ends:
             shares[SYMBOLS[symbol]] = {"thermometer": _THERMOMETER_STD, "lag": -sign * _LAG_STD}
@@ -198,7 +199,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
         if float(np.ptp(stress)) < SMALLEST_STRESS_RANGE:
             # One stress: referred to zero with the given C.
             c, c_std, held = parameters[influence], parameters.std(influence), float(stress.mean())
-            unstated = " (not stated)" * (influence not in parameters.given)
+            unstated = "" if influence in parameters.given else " (not stated)"
             findings.append(remark("one stress", subject=label, stress=held,
                                    shift=held / c, c=c, c_std=c_std, unstated=unstated))
             method = f"cosine at {held / 1e6:.3g} MPa, referred to zero stress with {label}"

@@ -11,7 +11,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.unknowns import MATERIAL, PRODUCTS
 from sma_bench.findings import Finding, Severity
-from sma_bench.identify.estimate import combine
+from sma_bench.identify.fits import combine
 from sma_bench.identify.result import Correlation, Experiment, remark
 from sma_bench.identify.signals import AMBIENT, COEFFICIENT, SPECIFIC_HEAT
 from sma_bench.parameters import Parameters

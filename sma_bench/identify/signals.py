@@ -10,9 +10,9 @@ from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation import noise_model
 from sma_bench.estimation.rig import has_load_frame, is_clamped, pulls_a_load
-from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments
+from sma_bench.estimation.voltage import Segments, find_segments
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import straight_line
+from sma_bench.identify.fits import straight_line
 from sma_bench.identify.result import refusal, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import NITI_DENSITY, wire_length
@@ -34,35 +34,34 @@ CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
 
 
 @dataclass(frozen=True)
-class Staircase:
-    """Plateaus of a voltage on one channel; levels within `tolerance` V are the same."""
+class Drive:
+    """The voltage of one channel in segments, without plateaus too short to be averaged."""
 
     channel: str
-    plateaus: tuple[VoltageSegment, ...]
-    tolerance: float
+    segments: Segments
 
     @property
-    def is_one(self) -> bool:
-        """Whether it has enough levels."""
-        return Segments(self.plateaus, (), self.tolerance).levels() >= FEWEST_LEVELS
+    def is_staircase(self) -> bool:
+        return self.segments.levels() >= FEWEST_LEVELS
 
     @property
     def windows(self) -> Array:
         """Averaging windows (p, 2) s of the plateaus, as in section II.B; scaled if short."""
-        start, duration = np.array([(p.start, p.duration) for p in self.plateaus]).T
+        start, duration = np.array([(p.start, p.duration) for p in self.segments.plateaus]).T
         shares = np.minimum(1.0, duration / (SETTLE + AVERAGE))
         return start[:, None] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
 
-    def read(self, record: Record, *quantities: str) -> "Staircase":
+    def read(self, record: Record, *quantities: str) -> "Drive":
         """Only the plateaus with at least half the usual samples of each quantity, if enough."""
-        kept = np.ones(len(self.plateaus), dtype=bool)
+        plateaus = self.segments.plateaus
+        kept = np.ones(len(plateaus), dtype=bool)
         for quantity in quantities:
             time = samples(record, f"{self.channel}.{quantity}")[0]
             count = np.diff(np.searchsorted(time, self.windows))[:, 0]
             kept &= (count >= _FEWEST_SAMPLES) & (count >= 0.5 * np.median(count))
-        complete = tuple(p for p, keep in zip(self.plateaus, kept, strict=True) if keep)
-        found = replace(self, plateaus=complete)
-        return found if found.is_one else self
+        complete = tuple(p for p, keep in zip(plateaus, kept, strict=True) if keep)
+        found = replace(self, segments=replace(self.segments, items=complete))
+        return found if found.is_staircase else self
 
     def means(self, record: Record, quantity: str) -> "Means":
         name = f"{self.channel}.{quantity}"
@@ -71,39 +70,31 @@ class Staircase:
     def same_level(self, voltage: Array) -> Array:
         """(p, p) ones where two plateaus share a voltage and so the converter's error."""
         apart = np.abs(voltage[:, None] - voltage[None, :])
-        return (apart < self.tolerance).astype(np.float64)
+        return (apart < self.segments.tolerance).astype(np.float64)
 
     def source(self, record: Record) -> str:
-        span = f"{self.plateaus[0].start:.1f} to {self.plateaus[-1].stop:.1f} s"
-        return f"{record.path}: {self.channel}, {span}"
-
-
-@dataclass(frozen=True)
-class ChannelDrive:
-    """Segments of one channel's voltage over a record."""
-
-    channel: str
-    segments: Segments
-    staircase: Staircase  # may have too few levels
+        first, *_, last = self.segments.plateaus
+        return f"{record.path}: {self.channel}, {first.start:.1f} to {last.stop:.1f} s"
 
     def describe(self) -> str:
         s = self.segments
-        counts = (len(s.plateaus), "plateau"), (s.levels(), "voltage"), (len(s.ramps), "ramp")
-        plateaus, voltages, ramps = (f"{n} {word}{'s' * (n != 1)}" for n, word in counts)
+        counts = {"plateau": len(s.plateaus), "voltage": s.levels(), "ramp": len(s.ramps)}
+        plateaus, voltages, ramps = (f"{n} {word}{'' if n == 1 else 's'}"
+                                     for word, n in counts.items())
         return f"{self.channel}: {plateaus} at {voltages}, {ramps}"
 
 
-def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
-    """Segments of every channel's voltage; InputError for one too short."""
+def find_drives(record: Record) -> tuple[Drive, ...]:
+    """The voltage of every channel; InputError for one too short."""
     drives = []
     for channel in (c for c in record.channels if has_samples(record, f"{c}.voltage")):
         try:
             segments = find_segments(*samples(record, f"{channel}.voltage"))
         except InputError as error:
             raise InputError(f"{record.path}: {channel}.{error}") from None
-        plateaus = tuple(p for p in segments.plateaus if p.duration >= SHORTEST_PLATEAU)
-        staircase = Staircase(channel, plateaus, segments.tolerance)
-        drives.append(ChannelDrive(channel, segments, staircase))
+        items = tuple(s for s in segments.items
+                      if s.kind == "ramp" or s.duration >= SHORTEST_PLATEAU)
+        drives.append(Drive(channel, replace(segments, items=items)))
     return tuple(drives)
 
 
@@ -188,7 +179,7 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
         residuals.append(v - lines[-1](t))
         drift.append(lines[-1].slope * float(np.ptp(t)))
     n = np.array([len(v) for v in residuals], dtype=np.float64)
-    correlated = noise_model.inflation(noise_model.autocorrelation(residuals))
+    correlated = noise_model.inflation(residuals)
     variance = n * np.array([line.value_variance for line in lines])
     pooled = float(np.sum(variance * n) / np.sum(n))
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)

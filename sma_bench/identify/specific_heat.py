@@ -16,14 +16,14 @@ from sma_bench.estimation.observation import Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of
 from sma_bench.estimation.solver import fit, recalibrate
-from sma_bench.estimation.unknowns import Unknown, Unknowns
+from sma_bench.estimation.unknowns import Unknown, Unknowns, range_of
 from sma_bench.findings import Finding
 from sma_bench.identify import signals
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import AMBIENT, CAMERA_LAG, COEFFICIENT, LAG, SPECIFIC_HEAT
 from sma_bench.identify.staircases import scale_of_gain
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import Record
 from sma_bench.records.record import Signal, first_order_lag, samples
 
@@ -44,7 +44,7 @@ _SMALL = 0.01  # of c_p, of the steady rise or of the rise of a ramp: less is no
 _BAD_MISFIT, _FEWEST_IN_BIN = 6.0, 3  # standard errors of a bin's mean residual; its samples
 _COLD = 0.02  # of the rise: in colder bins, residuals show their scatter
 _FILTER_TIME, _MOST_CELLS = 0.1, 1_000_000  # s; samples of a window: of the paper's differentiator
-Drives = Sequence[tuple[Record, signals.ChannelDrive]]
+Drives = Sequence[tuple[Record, signals.Drive]]
 
 
 class Window(NamedTuple):
@@ -108,7 +108,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         observations.append(replace(observation, signals=(replace(signal, sensor=sensor),)))
     cold = float(np.median([np.percentile(w.temperature, 5) for w in windows]))
     result, blind = _fitted(observations, cold, parameters, heat_loss)
-    off = {kind: [o for o in result.off if o.kind == kind] for kind in (DELAY, OFFSET)}
+    off = {kind: [o for o in result.off if o.item.kind == kind] for kind in (DELAY, OFFSET)}
     models: list[Array] = []
     fits = zip(used, result.fit.problem.observations, off[OFFSET], strict=True)
     for (_, _, of_drive), observation, zero in fits:
@@ -258,8 +258,7 @@ def _unknowns(parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_s
         of_r = own.relative_std if known else own.statistical / own.value
         ohm = parameters[signals.RESISTANCE]
         priors[signals.RESISTANCE] = (float(ohm), of_r * ohm)
-    items = tuple(Unknown(name, mean, std, float(BY_NAME[name].low or 0.0),
-                          float(BY_NAME[name].high or np.inf), log=name not in (AMBIENT, LAG))
+    items = tuple(Unknown(name, mean, std, *range_of(name), log=name not in (AMBIENT, LAG))
                   for name, (mean, std) in priors.items() if std > 0.0)
     return Unknowns(parameters.replace({COEFFICIENT: loss.value}), items, len(items), len(items))
 
@@ -270,7 +269,7 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
     c_p. `blind`: the fit with h free; `tau`: s, of the wire; `steps`: s, errors of delays."""
     findings, factor, systematics = list[Finding](), 1.0, [0.0]
     # An offset between the stamps? The sum of delay and lag (best record) is known best.
-    fitted, delays = result.fit, [off for off in result.off if off.kind == DELAY]
+    fitted, delays = result.fit, [off for off in result.off if off.item.kind == DELAY]
     best = min(range(len(delays)), key=lambda k: delays[k].std)
     items = [item for own in fitted.problem.nuisances for item in own.items]
     place = [k for k, item in enumerate(items) if item.kind == DELAY][best]
@@ -280,13 +279,13 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
     lag, cp = numbers[LAG], numbers[SPECIFIC_HEAT]
     late = delays[best].value + lag.value
     std = math.hypot(math.sqrt(float(weights @ fitted.joint @ weights)), steps[best])
-    assumed = min(off.prior_std for off in delays)
+    assumed = min(off.item.std for off in delays)
     far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _lag(fitted.parameters)[1])
     resolved = abs(late) >= max(_SIGNIFICANT * std, _SMALL_DELAY)
     cause, is_bad = "delay", far
     if std > 0.5 * assumed:
         cause, is_bad = "delay unresolved", std > _SMALL * tau
-    more = "; taken at face value they would pass for thermal inertia" * resolved
+    more = "; taken at face value they would pass for thermal inertia" if resolved else ""
     findings.append(remark(cause, "warning" if is_bad else "info", delay=late, delay_std=std,
                            assumed=assumed, more=more))
     # A second time constant: the camera's, or the wire's own?

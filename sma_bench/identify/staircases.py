@@ -14,11 +14,12 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.noise_model import scatter
 from sma_bench.findings import Finding
 from sma_bench.identify import signals
-from sma_bench.identify.estimate import SYMBOLS, fit_linear, fit_slope, scatter, straight_line
+from sma_bench.identify.fits import SYMBOLS, fit_linear, fit_slope, straight_line
 from sma_bench.identify.result import Experiment, refusal, remark, words
-from sma_bench.identify.signals import AMBIENT, CAMERA, COEFFICIENT, LEADS, RESISTANCE, Staircase
+from sma_bench.identify.signals import AMBIENT, CAMERA, COEFFICIENT, LEADS, RESISTANCE, Drive
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION
@@ -46,7 +47,7 @@ _SLACK = 5.0  # standard errors of the stress: below, a wire is slack
 _BAD_MISFIT = 9.0  # chi square per degree of freedom
 
 
-def identify_resistance(record: Record, staircase: Staircase, parameters: Parameters) -> Experiment:
+def identify_resistance(record: Record, staircase: Drive, parameters: Parameters) -> Experiment:
     """Fit V over I through the plateaus of a staircase. Where heating and cooling differ by two
     standard errors the heating slope counts, as in the paper, and half the difference is added to
     the error. InputError: current that does not follow, too few samples, or nothing but leads."""
@@ -57,7 +58,7 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
         raise refusal("current does not follow", path=record.path, channel=staircase.channel,
                       amperes=np.ptp(amps), volts=np.ptp(volts))
     same = staircase.same_level(volts)
-    up = np.array([p.direction == "up" for p in staircase.plateaus])
+    up = np.array([p.direction == "up" for p in staircase.segments.plateaus])
 
     def covariance(ohm: float) -> Array:
         """Covariance (n, n) of V - ohm I in V^2; equal voltages share converters' errors."""
@@ -106,8 +107,7 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
                   CURRENT: -count * ohm * parameters.std(CURRENT)}
     if leads or count > 1:
         systematic[LEADS] = -count * lead_std(parameters)
-        method += f", less {leads:g} ohm of leads" * bool(leads)
-        method += f", {count} wires in parallel" * (count > 1)
+        method += f", less {leads:g} ohm of leads; wires in parallel: {count}"
     details["channel"] = Estimate(ohm, std, "ohm", method, n)
     wire = Estimate(count * (ohm - leads), count * std, "ohm", method, n).with_shares(systematic)
     ends = np.array([volts.min(), volts.max()])
@@ -137,7 +137,7 @@ def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Esti
     return own.with_shares(shares)
 
 
-def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Parameters,
+def identify_heat_transfer(record: Record, staircase: Drive, parameters: Parameters,
                            resistance: Estimate) -> Experiment:
     """Heat transfer coefficient and ambient temperature from a voltage staircase: T = T_inf +
     V^2/(R h A_c) with free T_inf, which may drift where the room was not recorded; A_c is taken as
@@ -198,7 +198,7 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     if has_samples(record, f"{channel}.current"):
         current = staircase.means(record, "current")
         # The current's zero: a plateau at 0 V is better than a line that may not be straight.
-        if (undriven := np.abs(volts) < staircase.tolerance).any():
+        if (undriven := np.abs(volts) < staircase.segments.tolerance).any():
             offset = float(np.mean(current.value[undriven]))
             common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
         else:
@@ -244,8 +244,8 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     estimates = {COEFFICIENT: coefficient(thermal_gain, resistance, parameters),
                  AMBIENT: cold.with_shares(shares)}
     ends = np.linspace(0.0, float(volts.max()), 100)
-    curves = {"voltage": volts, "temperature": kelvin,
-              "heating": np.array([float(p.direction == "up") for p in staircase.plateaus]),
+    rising = [float(p.direction == "up") for p in staircase.segments.plateaus]
+    curves = {"voltage": volts, "temperature": kelvin, "heating": np.array(rising),
               "line_voltage": ends, "line_temperature": ambient + gain * ends**2}
     return Experiment("E2", "Heat transfer coefficient", estimates, tuple(remarks), curves,
                       staircase.source(record), {GAIN: thermal_gain})

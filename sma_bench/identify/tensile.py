@@ -17,12 +17,12 @@ import numpy as np
 from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.noise_model import autocorrelation, inflation
+from sma_bench.estimation.noise_model import inflation, scatter
 from sma_bench.estimation.rig import find_pulls
 from sma_bench.findings import Finding
-from sma_bench.identify import estimate
+from sma_bench.identify import fits
 from sma_bench.identify.branches import Bins
-from sma_bench.identify.estimate import GAUGE, SYMBOLS, Line, scatter, straight_line
+from sma_bench.identify.fits import GAUGE, SYMBOLS, Line, straight_line
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import about_length
 from sma_bench.parameters import Parameters
@@ -153,7 +153,7 @@ def _straight_pieces(x: Array, y: Array, tolerance: float) -> list[tuple[int, in
 def _modulus(strain: Array, stress: Array) -> Rise:
     """Slope; its error from correlated scatter, and from curvature or slips that parts show."""
     line, n, bend = straight_line(strain, stress), len(strain), 0.0
-    variance = line.slope_variance * inflation(autocorrelation([stress - line(strain)]))
+    variance = line.slope_variance * inflation([stress - line(strain)])
     lower = strain <= 0.5 * (strain.min() + strain.max())
     if min(np.sum(lower), np.sum(~lower)) >= 8:
         low, high = (straight_line(strain[h], stress[h]).slope for h in (lower, ~lower))
@@ -191,10 +191,10 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters,
         shown = {"strain": record.strain, "stress": record.stress, "pieces": reading.pieces}
         curves |= {f"{phase}/{record.path.name}/{kind}": curve for kind, curve in shown.items()}
     estimates, details = dict[str, Estimate](), dict[str, Estimate]()
-    of_gauge, of_section = parameters.std(GAUGE), 2.0 * estimate.diameter_error(parameters)
+    of_gauge, of_section = parameters.std(GAUGE), 2.0 * fits.diameter_error(parameters)
     for phase, group in tests.items():
         symbol, (part, rises) = SYMBOL[phase], _chosen(phase, group, findings)
-        value, *errors = estimate.mean_of_repeats([(rise.modulus, rise.std) for rise in rises])
+        value, *errors = fits.mean_of_repeats([(rise.modulus, rise.std) for rise in rises])
         kelvin = [record.temperature for record, _ in group if record.temperature]
         at = f" at {np.mean(kelvin):.2f} K" if kelvin else ""
         repeats = f"mean of {len(rises)} tests" if len(rises) > 1 else "one test"
@@ -217,7 +217,7 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters,
             (f"{phase} toe", "1", toe, [Rise(r.toe, 0.0, 1) for r in every]),
         ]
         for name, unit, method, found in (one for one in more if one[-1]):
-            mean = estimate.mean_and_deviation([one[:2] for one in found])
+            mean = fits.mean_and_deviation([one[:2] for one in found])
             details[name] = Estimate(*mean, unit, method, sum(one.n for one in found))
     soft, stiff = (estimates.get(SYMBOLS[SYMBOL[phase]]) for phase in ("martensite", "austenite"))
     if soft and stiff and soft.value - stiff.value > 3.0 * math.hypot(soft.std, stiff.std):

@@ -11,8 +11,9 @@ import numpy as np
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.noise_model import scatter
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Line, fit_linear, mean_of_repeats, scatter, straight_line
+from sma_bench.identify.fits import Line, fit_linear, mean_of_repeats, straight_line
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import DscRecord, DscSegment

@@ -11,13 +11,14 @@ from scipy.special import chdtrc
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation import laws as weighing
+from sma_bench.estimation import solver
 from sma_bench.estimation import unknowns as priors
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.laws import starts
 from sma_bench.estimation.observation import MOVED, Observation, observe_all
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors
-from sma_bench.estimation.solver import Fit, fit_imperfect, recalibrate
+from sma_bench.estimation.solver import Fit
 from sma_bench.findings import Finding, Severity
 from sma_bench.identify.result import Correlation, Experiment, refusal, remark
 from sma_bench.identify.signals import CAMERA_LAG, LAG, LEADS, RESISTANCE, about_length
@@ -110,7 +111,8 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
                                               own_load=moving, sides_apart=True, unmodelled=True)
         problem = Problem.of(observations, voltage_noise=True)
         tries = starts(unknowns)[:most_starts]
-        fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
+        fitted, tried = solver.recalibrate(problem, parameters, unknowns, tries, report,
+                                           keep_noise=True)
         fitted, tried = _with_lag(fitted, tried, parameters)
     result = result_of(fitted, tried, scale_errors(fitted))
     numbers = tuple(replace(n, name=CAMERA_LAG) if n.name == LAG else n for n in result.numbers)
@@ -121,7 +123,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
              if n.name not in _NUISANCES or n.value != BY_NAME[n.name].default]
     estimates = {}
     for n in (numbers[k] for k in which):
-        mostly_prior = ": mostly the prior, the records add little" * (n.informed < _UNINFORMED)
+        little = ": mostly the prior, the records add little" if n.informed < _UNINFORMED else ""
         shares = dict(n.shares)
         if n.name == RESISTANCE:
             shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
@@ -129,27 +131,26 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         # Prior errors include the sensors' scales: cap at them. Temperatures: as the fit has them.
         bound = n.name in (*priors.TEMPERATURES, priors.SPREAD)
         own = Estimate(fitted.parameters[n.name] if bound else n.value, n.std,
-                       BY_NAME[n.name].unit, method + mostly_prior, samples, informed=n.informed)
+                       BY_NAME[n.name].unit, method + little, samples, informed=n.informed)
         estimates[n.name] = own.with_shares(shares).capped(n.prior_std)
     details = {}
     for number in result.products:
         what, unit, symbol = _UNITS[number.name.split(" x ")[0]]
         words, informed = f"{symbol}, the only form in the model", number.informed
         details[what] = Estimate(number.value, number.std, unit, words, samples, informed=informed)
-    paths = list(dict.fromkeys(off.path for off in result.off))
-    for off in result.off:
-        head = f"{paths.index(off.path)}." if len(paths) > 1 else ""
-        informed = max(0.0, 1.0 - (off.std / off.prior_std) ** 2)
-        details[f"{head}{off.kind}.{off.subject}"] = Estimate(
-            off.value, off.std, off.unit, f"fitted beside the model, {off.path}", samples,
-            informed=informed)
-    curves: dict[str, Array] = {}
     paths = list(dict.fromkeys(one.path for one in observations))
+    heads = {path: f"{k}." if len(paths) > 1 else "" for k, path in enumerate(paths)}
+    for off in result.off:
+        informed = max(0.0, 1.0 - (off.std / off.item.std) ** 2)
+        words = f"fitted with the model, {off.path}"
+        details[f"{heads[off.path]}{off.item.kind}.{off.item.subject}"] = Estimate(
+            off.value, off.std, off.item.unit, words, samples, informed=informed)
+    curves: dict[str, Array] = {}
     for block in result.fit.problem.blocks:
         signal, model = block.signal, block.signal.value - result.fit.residual[block.rows]
-        head = f"{paths.index(block.observation.path)}." if len(paths) > 1 else ""
+        stem = heads[block.observation.path] + signal.name
         shown = {"time": signal.time, "measured": signal.value, "model": model}
-        curves |= {f"{head}{signal.name}.{kind}": values for kind, values in shown.items()}
+        curves |= {f"{stem}.{kind}": values for kind, values in shown.items()}
     return Experiment(name, title, estimates, (*_of_laws(laws), *_findings(result)),
                       curves, "; ".join(one.path for one in observations), details,
                       Correlation(tuple(estimates), result.correlation[np.ix_(which, which)]), laws)
@@ -177,18 +178,18 @@ def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fi
     if CAMERA_LAG not in parameters.given_uncertainty:  # not measured on this thermometer
         std = max(std, float(BY_NAME[LAG].uncertainty or 0.0))
     own, before = fitted.unknowns, fitted.problem
-    item = priors.Unknown(LAG, mean, std, 0.0, float(BY_NAME[LAG].high or np.inf))
+    item = priors.Unknown(LAG, mean, std, *priors.range_of(LAG))
     unknowns = replace(own, items=(*own.items, item), baseline=own.baseline + 1)
     first = item.x_of(max(mean, std))
     starts = [np.append(one, first) for one in (own.start(), fitted.x)]
     problem = Problem.of(before.observations, before.voltage_noise)
     if before.weights:
-        both, lagged = fit_imperfect(problem, own.base, unknowns, starts)
-        readings = weighing.independent_readings(fitted)
-        found = max(both, key=lambda one: weighing.log_evidence(one, readings))
-        gain = weighing.log_evidence(found, readings) - weighing.log_evidence(fitted, readings)
+        both, lagged = solver.fit_imperfect(problem, own.base, unknowns, starts)
+        readings = solver.independent_readings(fitted)
+        found = max(both, key=lambda one: solver.log_evidence(one, readings))
+        gain = solver.log_evidence(found, readings) - solver.log_evidence(fitted, readings)
     else:
-        found, lagged = recalibrate(problem, parameters, unknowns, starts)
+        found, lagged = solver.recalibrate(problem, parameters, unknowns, starts)
         gain = found.evidence - fitted.evidence
     return (found, lagged) if gain > _BETTER else (fitted, tried)
 

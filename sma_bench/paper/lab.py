@@ -107,7 +107,7 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
     drives: Sequence[Any] = ()
     with suppress(InputError):
         drives = find_drives(record) if len(driven) == 1 else ()
-    if any(drive.staircase.is_one for drive in drives):
+    if any(drive.is_staircase for drive in drives):
         uses.append(("thermal", record))
     elif drives and has_samples(record, temperature := f"{driven[0]}.temperature"):
         hottest = float(np.nanmax(record[temperature].values))

@@ -9,7 +9,7 @@ import numpy as np
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.laws import predict
-from sma_bench.identify.estimate import SYMBOLS
+from sma_bench.identify.fits import SYMBOLS
 from sma_bench.identify.result import Experiment
 from sma_bench.identify.staircases import PARAMETER
 from sma_bench.identify.tensile import SYMBOL

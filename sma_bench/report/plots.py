@@ -186,7 +186,7 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
         obs = next(v for v in result.held_out if quantity in v.quantities)
         unit, factor = scale_of(quantity)
         # Per side, the signal with the largest error of the stated parameters.
-        both = (obs.readings(obs.simulate(p)) for p in (result.parameters, result.improved))
+        both = map(obs.by_signal, obs.predict([result.parameters, result.improved]).T)
         worst: dict[str, tuple[BinnedSignal, Array, Array]] = {}
         rows = [r for r in zip(obs.signals, *both, strict=True) if r[0].quantity == quantity]
         for row in sorted(rows, key=lambda r: float(np.mean((r[0].value - r[1]) ** 2))):

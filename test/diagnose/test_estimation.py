@@ -57,7 +57,8 @@ def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_
 def test_currents_are_predicted_with_what_the_supply_drops(drop, tmp_path):
     bench = true_bench().replace({f"effect.supply_drop.{n}": value for n, value in drop.items()})
     obs = observe(planted_record(tmp_path / "bag", bench=bench), bench, 0.2, ("current",))
-    for signal, predicted in zip(obs.signals, obs.readings(obs.simulate(bench)), strict=True):
+    readings = obs.by_signal(obs.readings(obs.simulate(bench)))
+    for signal, predicted in zip(obs.signals, readings, strict=True):
         assert np.ptp(predicted) > 100.0 * signal.noise
         assert np.sqrt(np.mean((signal.value - predicted) ** 2)) < 3.0 * signal.noise
 

@@ -100,9 +100,9 @@ def test_residual_strain_is_carried_over_into_the_next_record():
         begin += int(2 * DURATION)
     carried = bench.replace({"effect.residual_strain.fresh_start": 0.0})
     _, second = observe_all(records, believed())
-    (there,) = second.readings(second.simulate(carried))
+    there = second.readings(second.simulate(carried))
     assert np.std(second.signals[0].value - there) < 2.0 * second.signals[0].noise
-    (anew,) = second.readings(second.simulate(bench))
+    anew = second.readings(second.simulate(bench))
     assert np.std(second.signals[0].value - anew) > 10.0 * second.signals[0].noise
 
     with few_effects(("residual_strain", "transition_drift", "viscoelastic_matrix")):

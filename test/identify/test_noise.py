@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import Noise, estimate_noise
 from sma_bench.estimation.voltage import applied_voltage, find_segments
-from sma_bench.identify.estimate import combine
+from sma_bench.identify.fits import combine
 
 STEP = 10.0 / 1023.0
 

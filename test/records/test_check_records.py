@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.estimate import fit_linear
+from sma_bench.identify.fits import fit_linear
 from sma_bench.records import Record, Signal, check_record, read_record
 from sma_bench.records.check import check_response
 

@@ -68,11 +68,6 @@ def diameter_error(parameters: Parameters) -> float:
     return parameters.replace({"wire.diameter": diameter}).std("wire.diameter") / float(diameter)
 
 
-def scatter(values: Array) -> float:
-    """Standard deviation of points (n,) about a smooth curve, by second differences."""
-    return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
-
-
 @dataclass(frozen=True)
 class Line:
     """Straight line y = value + slope (x - at); errors of value and slope are independent."""
