@@ -1,6 +1,7 @@
 """Records of small benches with a planted effect, or none, simulated by the model itself."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from sma_bench.diagnose import search
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.material import current
 from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
@@ -82,8 +82,8 @@ def planted_record(path, effects=None, *, quantities=ALL, kind="white", seed=1, 
     fine, volts = driven(FINER * RATE)
     found = simulate(parameters, fine, 0.5 * (volts + np.vstack([volts[1:], volts[-1:]])))
     time, voltage = driven(RATE)
-    kelvin, xi = found.temperature[::FINER], found.martensite_fraction[::FINER]
-    amperes = current(parameters, voltage, kelvin, xi, found.sag[::FINER])
+    names = ("temperature", "martensite_fraction", "sag")
+    amperes = replace(found, **{n: getattr(found, n)[::FINER] for n in names}).current_at(voltage)
     exact = {}
     for k, channel in enumerate(channels):
         exact[f"{channel}.voltage"] = voltage[:, k]

@@ -105,13 +105,15 @@ def run_linearise(args: SimpleNamespace) -> int:
     if args.json:
         space = model.state_space()
         numbers = {n: dict(zip(channels, getattr(point, n).tolist(), strict=True)) for n in _AT}
+        outputs = [f"{channel}.{kind}"
+                   for kind in ("temperature", "stress") for channel in channels]
         write_json(args.json, {
             "operating_point": {"branch": point.branch, "deflection": point.deflection, **numbers},
             "coefficients": {row.name: row._asdict() for row in coefficients},
             "state_space": {
                 "states": [f"{channel}.temperature" for channel in channels],
                 "inputs": [f"{channel}.voltage" for channel in channels],
-                "outputs": list(model.output_names),
+                "outputs": ["deflection", *outputs],
                 **{matrix: getattr(space, matrix).tolist() for matrix in "ABCD"},
             },
             "poles": np.linalg.eigvals(space.A).real.tolist(),

@@ -93,7 +93,7 @@ class VirtualBench:
             return [one.read(value) for one, value in zip(instruments, true, strict=True)]
 
         if kind == "power":
-            volts, amperes = direct_reading(bench.parameters, voltage, bench.current(voltage))
+            volts, amperes = direct_reading(bench.parameters, voltage, bench.current_at(voltage))
             both = read("voltage", volts.tolist()), read("current", amperes.tolist())
             return list(zip(*both, strict=True))
         if kind == "temperature":

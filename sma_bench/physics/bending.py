@@ -82,11 +82,6 @@ def deflection(strain: float, beam: Beam) -> float:
     return 0.5 * beam.length**2 * curvature(strain, beam)
 
 
-def stress_per_deflection(beam: Beam) -> float:
-    """beta [Pa/m] of eq. (23), corrected: 2 EI/(a A l^2), P = A sum(sigma) over a side's wires."""
-    return 2.0 * bending_stiffness(beam) / (beam.offset * beam.wire_section * beam.length**2)
-
-
 def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
     """alpha [m], beta of the front and of the back [Pa/m]: given, or from the geometry where 0."""
     names = ("deflection_per_strain", "stress_per_deflection_front", "stress_per_deflection_back")
@@ -94,5 +89,6 @@ def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
     if alpha and front and back:
         return alpha, front, back
     beam = Beam.of(parameters)
-    beta = stress_per_deflection(beam)
+    # Eq. (23), corrected: 2 EI/(a A l^2), with P = A sum(sigma) over a side's wires.
+    beta = 2.0 * bending_stiffness(beam) / (beam.offset * beam.wire_section * beam.length**2)
     return alpha or deflection(1.0, beam), front or beta, back or beta

@@ -38,7 +38,7 @@ from sma_bench.physics.effects.opposing_wires import give_way, resist, set_passi
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
 from sma_bench.physics.effects.residual_strain import exceeds_most
 from sma_bench.physics.effects.side_heat_coupling import in_plume, set_opposite
-from sma_bench.physics.effects.supply_drop import power
+from sma_bench.physics.effects.supply_drop import current, power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
 from sma_bench.physics.effects.temperature_lag import read
 from sma_bench.physics.effects.temperature_underfill import spot_temperature
@@ -183,6 +183,16 @@ def finish_wire(wires, sides, i, fraction_before, step):
         wires[i, at.READING] = read(wires, i, see(wires, sides, i), step)
     else:
         wires[i, at.READING] = wires[i, at.TEMPERATURE]
+
+
+@borrowing
+def currents(wires, voltage, temperature, fraction, sag, found):
+    """Write the currents (n, w) of wires with these states (n, w) at these voltages (n, w)."""
+    for k in range(voltage.shape[0]):
+        for i in range(wires.shape[0]):
+            wires[i, at.TEMPERATURE], wires[i, at.FRACTION] = temperature[k, i], fraction[k, i]
+            wires[i, at.SAG] = sag[k, i]
+            found[k, i] = current(wires, i, voltage[k, i], resistance(wires, i))
 
 
 @borrowing

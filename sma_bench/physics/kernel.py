@@ -15,7 +15,7 @@ from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, kinetics, material, orientation
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
-from sma_bench.physics.laws import extended, law_of, normal
+from sma_bench.physics.laws import extended, normal, ramp_of
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
 # --- The state of a bench between two samples, and the state it starts from.
@@ -91,7 +91,7 @@ def require_possible(state: State, parameters: Parameters) -> None:
     if np.all((xi == 1.0) & (kelvin < finish) & (sigma >= 0.0)):
         return  # cold martensite, where most benches begin
     f, g = ramps(kelvin, sigma, parameters)
-    least = law_of(parameters).UNDONE
+    least = ramp_of(parameters)(0.0)[0]  # left at A_f and M_f
     for impossible, expected in (
         ((f <= least) & (g >= 1.0 - least) & (xi > least), "0 above A_f"),
         ((f >= 1.0 - least) & (g <= least) & (xi < 1.0 - least), "1 below M_f"),

@@ -27,7 +27,7 @@ from sma_bench.physics import kinetics, material
 from sma_bench.physics.boundary import Boundary, moves_tip, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.kernel import State, at_rest, initial_state, ramps, wire_rows
-from sma_bench.physics.laws import law_of
+from sma_bench.physics.laws import law_of, ramp_of
 from sma_bench.physics.orientation import as_oriented
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
@@ -105,28 +105,27 @@ class SideModel:
         """T [K] and xi at a contraction along a branch, or its hot or cold end if out of reach."""
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
         heating, stress = branch == "heating", self.wire_stress(contraction)
-        shift = kinetics.any_shifting(self._wire, 0, stress)[0 if heating else 2] / influence
+        shift = float(kinetics.any_shifting(self._wire, 0, stress)[0 if heating else 2]) / influence
+        ramp, ends = ramp_of(self.parameters), law_of(self.parameters).ENDS
+        hot, cold = ends if heating else ends[::-1]
 
-        def kelvin(xi: float) -> float:
-            left = xi if heating else 1.0 - xi
-            ramp = min(left / share, 1.0) if share > 0.0 else 0.0
-            way = (finish - start) * law_of(self.parameters).position(ramp)
-            return float(shift + (finish - way if heating else start + way))
+        def state(position: float) -> tuple[float, float]:
+            left = min(share * ramp(position)[0], 1.0)
+            way = position * (finish - start)
+            return (shift + finish - way, left) if heating else (shift + start + way, 1.0 - left)
 
-        def excess(xi: float) -> float:
-            return self.excess(contraction, kelvin(xi), xi)
+        def excess(position: float) -> float:
+            return self.excess(contraction, *state(position))
 
-        hot, cold = (0.0, min(share, 1.0)) if heating else (1.0 - min(share, 1.0), 1.0)
         if excess(hot) < 0.0:
-            return finish + shift, hot
+            return finish + shift, state(hot)[1]
         if excess(cold) <= 0.0:
-            xi = float(brentq(excess, hot, cold, xtol=1e-15)) if cold > hot else hot
-            return kelvin(xi), xi
-        ambient = self.parameters["environment.ambient_temperature"]
+            return state(float(brentq(excess, hot, cold, xtol=1e-15)))
+        ambient, xi = self.parameters["environment.ambient_temperature"], state(cold)[1]
         if expansion := self.parameters["wire.thermal_expansion_factor"]:
-            warm = ambient - self.excess(contraction, ambient, cold) / expansion
-            return float(min(max(warm, ambient), start + shift)), cold
-        return start + shift, cold
+            warm = ambient - self.excess(contraction, ambient, xi) / expansion
+            return float(min(max(warm, ambient), start + shift)), xi
+        return start + shift, xi
 
     def largest_contraction(self) -> float:
         """e at which the wires, heated, have just become austenite: T = A_f + sigma/C_A."""
@@ -169,22 +168,21 @@ class OperatingPoint(State):
         return cls(parameters=p, boundary=boundary, branch=branch, voltage=voltage, **vars(state))
 
     @classmethod
-    def at_temperature(cls, parameters: Parameters, temperature: ArrayLike, branch: Branch,
-                       boundary: Boundary | None = None) -> Self:
+    def at_temperature(cls, parameters: Parameters, temperature: ArrayLike,
+                       branch: Branch) -> Self:
         """On the full loop, eq. (10) or (11), at one or (w,) K; InputError: as `of_state`."""
         wires = len(parameters["bench.channels"])
         kelvin = np.full(wires, temperature, dtype=float)
         hot = _AUSTENITE if branch == "cooling" else None
-        state = warmed_from_rest(parameters, kelvin, boundary, hot)
-        return cls.of_state(parameters, kelvin, state.martensite_fraction, branch, boundary)
+        state = warmed_from_rest(parameters, kelvin, hot)
+        return cls.of_state(parameters, kelvin, state.martensite_fraction, branch)
 
     @classmethod
-    def at_voltage(cls, parameters: Parameters, voltage: ArrayLike, branch: Branch,
-                   boundary: Boundary | None = None) -> Self:
+    def at_voltage(cls, parameters: Parameters, voltage: ArrayLike, branch: Branch) -> Self:
         """On the full loop where one or (w,) held voltages [V] lead to."""
         heating = material.heating_voltage(voltage, parameters)
         kelvin = material.steady_temperature(heating, parameters)
-        return cls.at_temperature(parameters, kelvin, branch, boundary)
+        return cls.at_temperature(parameters, kelvin, branch)
 
     @classmethod
     def at_deflection(cls, parameters: Parameters, deflection: float | None,
@@ -243,13 +241,6 @@ class Linearised:
         """(w,) m/K."""
         levers = self.point.boundary.levers(self.point.parameters)
         return np.asarray(levers @ self.contraction_per_kelvin)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """Outputs of `state_space`, in their order."""
-        channels = self.point.parameters["bench.channels"]
-        kinds = [f"{channel}.{kind}" for kind in ("temperature", "stress") for channel in channels]
-        return ("deflection", *kinds)
 
     def state_space(self) -> StateSpace:
         """Deviations of wire temperatures [K] driven by those of the wires' voltages [V], eq. (19).

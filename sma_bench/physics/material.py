@@ -10,7 +10,6 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import SOURCES
 from sma_bench.parameters.parameters import OXIDISED, REFERENCE_EXCESS, free_exponent, radiation
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.phase_dependent_resistance import LEAST
 
 
 def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
@@ -20,55 +19,19 @@ def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
     return np.asarray(austenite + np.asarray(martensite_fraction, float) * change)
 
 
-def transformation_coefficient(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
-    """Omega [Pa], eq. (9)."""
-    return -parameters["wire.maximum_recoverable_strain"] * modulus(martensite_fraction, parameters)
-
-
-def clamped_stress(temperature: ArrayLike, parameters: Parameters) -> Array:
-    """Stress [Pa] of a clamped wire at T [K] before it transforms, eq. (8)."""
-    rise = np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
-    return np.asarray(parameters["wire.thermal_expansion_factor"] * rise)
-
-
 def stress(temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: ArrayLike,
            parameters: Parameters) -> Array:
     """sigma [Pa], eq. (6) from sigma = 0, xi = 1 and ambient temperature at rest; T [K], xi and the
     contraction -(eps - eps_0) broadcast against each other."""
-    xi = np.asarray(martensite_fraction, float)
-    elastic = -modulus(xi, parameters) * np.asarray(contraction, float)
-    transformed = transformation_coefficient(xi, parameters) * (xi - 1.0)
-    return np.asarray(elastic + clamped_stress(temperature, parameters) + transformed)
+    xi, e_of_xi = np.asarray(martensite_fraction, float), modulus(martensite_fraction, parameters)
+    elastic = -e_of_xi * np.asarray(contraction, float)
+    rise = np.asarray(temperature, float) - parameters["environment.ambient_temperature"]
+    thermal = parameters["wire.thermal_expansion_factor"] * rise  # eq. (8)
+    omega = -parameters["wire.maximum_recoverable_strain"] * e_of_xi  # eq. (9)
+    return np.asarray(elastic + thermal + omega * (xi - 1.0))
 
 
 # --- Heat, and what drives it.
-
-def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
-            sag: ArrayLike = 0.0) -> Array:
-    """I = n (V - V_0 - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by
-    u [V]; eq. (3) with all effects off. `voltage`: as read or commanded, any shape; mean of a duty.
-    A source of current keeps n V/R, one of power n V^2/R [W], whatever the resistance."""
-    volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
-    names = ("austenite_change", "hump", "temperature_coefficient", "martensite_coefficient")
-    change, hump, growth, of_martensite = (parameters[f"effect.phase_dependent_resistance.{name}"]
-                                           for name in names)
-    count, rise = parameters["wire.count"], kelvin - parameters["environment.ambient_temperature"]
-    of_phase = np.maximum(1.0 + change * (1.0 - xi) + 4.0 * hump * xi * (1.0 - xi), LEAST)
-    of_heat = np.maximum(1.0 + (growth + of_martensite * xi) * rise, LEAST)
-    resistance = parameters["wire.resistance"] * of_phase * of_heat
-    if parameters["bench.drive"] == "current":
-        return count * volts / np.full_like(resistance, parameters["wire.resistance"])
-    if parameters["bench.drive"] == "power":
-        return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
-    leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
-    resists = resistance + count * leads
-    lost = parameters["effect.supply_drop.threshold"] + np.asarray(sag, dtype=np.float64)
-    volts = np.where(lost > 0.0, np.maximum(volts - lost, 0.0), volts)
-    found, overload = count * volts / resists, count * parameters["effect.supply_drop.overload"]
-    knee = parameters["effect.supply_drop.knee"]
-    beyond = (count * volts + overload * knee) / (resists + overload)
-    return np.where(found > knee, beyond, found)
-
 
 def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
     """Direct voltage with the same heat as a command [V], any shape. Commands: with duty the mean,

@@ -19,7 +19,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, LAWS
 from sma_bench.parameters.parameters import ORIENTING, load_kind
 from sma_bench.physics import columns as at
-from sma_bench.physics.laws import brinson, extended, law_of
+from sma_bench.physics.laws import brinson, extended
 from sma_bench.physics.laws.cosine import ramp
 
 FIRST = min(map(LAWS.index, ORIENTING))  # index in LAWS from which laws are of this kind
@@ -32,7 +32,10 @@ def at_rest(p: Parameters, prestretch: Array) -> Array:
     """xi_S/xi of wires at rest, mounted with these elastic strains (w,)."""
     if p["wire.law"] not in ORIENTING or load_kind(p) not in ("force", "spring", "antagonist"):
         return np.ones_like(prestretch)
-    return np.asarray(law_of(p).oriented(prestretch * p["wire.martensite_modulus"], p))
+    row, numbers = np.zeros((1, at.WIRE_COLUMNS)), [p[name] for name in ORIENTING[p["wire.law"]]]
+    row[0, [at.LAW, at.ORIENTS_FROM, at.ORIENTS_WITHIN]] = LAWS.index(p["wire.law"]), *numbers
+    stresses = prestretch * p["wire.martensite_modulus"]
+    return np.array([orients(row, 0, stress)[0] for stress in stresses])
 
 
 def as_oriented(p: Parameters, prestretch: float) -> Parameters:
@@ -45,17 +48,24 @@ def as_oriented(p: Parameters, prestretch: float) -> Parameters:
 
 
 @borrowing
+def orients(wires, i, stress):
+    """D of wire i by its law, and its slope [1/Pa]."""
+    if wires[i, at.LAW] == BRINSON:
+        return brinson.orients(wires, i, stress)
+    return extended.orients(wires, i, stress)
+
+
+@borrowing
 def orient(wires, i):
     """Before a step: set strains and moduli of wire i for it; returns the strain to add."""
     stress, xi, full = wires[i, at.STRESS], wires[i, at.FRACTION], wires[i, at.FULL_STRAIN]
     is_brinson, there = wires[i, at.LAW] == BRINSON, 0.0
-    law = brinson.orients(wires, i, stress) if is_brinson else extended.orients(wires, i, stress)
-    new, slope = law
+    new, slope = orients(wires, i, stress)
     old = min(wires[i, at.ORIENTED] / xi, 1.0) if xi > 0.0 else new
     if is_brinson:  # existing martensite detwins as at M_s, less if warmer
         warm = wires[i, at.TEMPERATURE] - wires[i, at.MARTENSITE_FINISH]
         warm = max(warm - 1.0 / wires[i, at.MARTENSITE_SLOPE], 0.0) / wires[i, at.MARTENSITE_SHIFT]
-        there, slope = brinson.orients(wires, i, stress - warm)
+        there, slope = orients(wires, i, stress - warm)
         new = new if old < new + _ROUNDING else 0.0
     follows = old if wires[i, at.TREND] > 0.0 else new
     grows = is_brinson and stress > wires[i, at.STRESS_BEFORE] and there > old - _EQUAL

@@ -13,13 +13,13 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
 from sma_bench.physics import columns as at
-from sma_bench.physics import material
+from sma_bench.physics import core
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.deflection_drift import zero
-from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible
+from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible, wire_rows
 
 
 @dataclass(eq=False, repr=False)
@@ -67,6 +67,15 @@ class Readings:
         """(..., w) N of each channel, tension positive, eq. (13)."""
         return self.stress * channel_section(self.parameters)
 
+    def current_at(self, voltage: ArrayLike) -> Array:
+        """(..., w) A through the channels in their states at `voltage` (..., w) V, as read or
+        commanded: the mean of a duty; eq. (3) with all effects off."""
+        states = voltage, self.temperature, self.martensite_fraction, self.sag
+        columns = [np.ascontiguousarray(np.atleast_2d(state), dtype=float) for state in states]
+        found, wires = np.empty_like(columns[0]), wire_rows(self.parameters, self.boundary)
+        core.currents(wires, *columns, found)
+        return self.parameters["wire.count"] * found.reshape(np.shape(voltage))
+
 
 # With these the current is not in proportion to the voltage. Least share of the highest voltage
 # that drives: less may be noise around 0.
@@ -103,12 +112,8 @@ class Simulation(Readings, Drawn):
 
     @cached_property
     def current(self) -> Array:
-        """(n, w) A, eq. (3)."""
-        return self._current(self.voltage)
-
-    def _current(self, volts: Array) -> Array:
-        states = self.temperature, self.martensite_fraction, self.sag
-        return material.current(self.parameters, volts, *states)
+        """(n, w) A."""
+        return self.current_at(self.voltage)
 
     @property
     def conductance(self) -> Array:
@@ -118,7 +123,7 @@ class Simulation(Readings, Drawn):
             driven = self.voltage > _DRIVES * np.max(self.voltage, initial=0.0)
             last = np.maximum.accumulate(driven * np.arange(1, len(volts) + 1)[:, None], axis=0) - 1
             volts = np.where(last < 0, volts, np.take_along_axis(self.voltage, last, axis=0))
-        return self._current(volts) / volts
+        return self.current_at(volts) / volts
 
 
 def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
@@ -167,7 +172,8 @@ def _simulated(kernel: Kernel, time: Array, voltage: Array, recorded: tuple[Arra
 def run_once() -> None:
     """Simulate two steps of the default bench, so that the core is compiled or read from disk."""
     bench = Parameters.defaults()
-    simulate(bench, [0.0, 0.05, 0.1], np.ones((3, len(bench["bench.channels"]))))
+    volts = np.ones((3, len(bench["bench.channels"])))
+    simulate(bench, [0.0, 0.05, 0.1], volts).current_at(volts)
 
 
 def _checked(name: str, given: ArrayLike, expected: tuple[int, ...]) -> Array:
@@ -196,21 +202,14 @@ class Bench(Readings):
         self._memory = self._kernel.memory(initial)
         self._settle()
 
-    def advance(self, voltage: ArrayLike, dt: float, elongation: float | None = None) -> State:
-        """Hold `voltage` (w,) V for `dt` s, moving to `elongation` [m] or as it was; returns the
-        state. InputError: wrong shape, not finite, dt not above 0, elongation with another load."""
+    def advance(self, voltage: ArrayLike, dt: float) -> State:
+        """Hold `voltage` (w,) V for `dt` s; returns the state. InputError: wrong shape, not finite,
+        dt not above 0."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
         volts = _checked("voltage", np.asarray(voltage, float)[np.newaxis], (1, self._kernel.wires))
-        moved = None if elongation is None else self._contraction(np.full(2, elongation), 2)
-        self._kernel.run(np.array([0.0, dt]), np.vstack([volts, volts]), self._memory, moved)
+        self._kernel.run(np.array([0.0, dt]), np.vstack([volts, volts]), self._memory)
         return self._settle()
-
-    def _contraction(self, elongation: ArrayLike, samples: int) -> Array:
-        """(n,) of the wires at an imposed elongation (n,) m; InputError: as `simulate`."""
-        if (kind := load_kind(self.parameters)) != "displacement":
-            raise InputError(f"simulation: elongation with load.kind {kind}, expected displacement")
-        return -_checked("elongation", elongation, (samples,)) / wire_length(self.parameters)
 
     def follow(self, time: ArrayLike, voltage: ArrayLike,
                elongation: ArrayLike | None = None) -> Simulation:
@@ -226,9 +225,14 @@ class Bench(Readings):
             k = int(np.argmax(seconds[1:] <= seconds[:-1]))
             goes = f"from {seconds[k]} to {seconds[k + 1]} s at sample {k + 1}"
             raise InputError(f"simulation: time goes {goes}, expected increasing")
-        started = float(self.clock)
-        moved = None if elongation is None else self._contraction(elongation, seconds.size)
-        recorded = self._kernel.run(seconds, volts, self._memory, moved)
+        started, contraction = float(self.clock), None
+        if elongation is not None:
+            if (kind := load_kind(self.parameters)) != "displacement":
+                found = f"elongation with load.kind {kind}"
+                raise InputError(f"simulation: {found}, expected displacement")
+            moved = _checked("elongation", elongation, seconds.shape)
+            contraction = -moved / wire_length(self.parameters)
+        recorded = self._kernel.run(seconds, volts, self._memory, contraction)
         return _simulated(self._kernel, seconds, volts, recorded, self._settle(), started)
 
     def pull_against(self, boundary: Boundary) -> None:
@@ -236,11 +240,6 @@ class Bench(Readings):
         self._kernel = Kernel(self.parameters, boundary)
         self._memory = self._kernel.memory(self.state)
         self.boundary = boundary
-
-    def current(self, voltage: ArrayLike) -> Array:
-        """(w,) A through the wires in their present state at `voltage` (w,) V."""
-        states = self.temperature, self.martensite_fraction, self.sag
-        return material.current(self.parameters, voltage, *states)
 
     @property
     def ambient_temperature(self) -> float:
@@ -303,11 +302,11 @@ class TemperatureDriven:
         return self._kernel.state(self._memory)
 
 
-def warmed_from_rest(parameters: Parameters, temperature: Array, boundary: Boundary | None = None,
+def warmed_from_rest(parameters: Parameters, temperature: Array,
                      by_way_of: float | None = None) -> State:
     """The state of a bench led from rest to (w,) K, at least ambient, by way of `by_way_of` K."""
     start = np.full_like(temperature, parameters["environment.ambient_temperature"])
-    bench, share = TemperatureDriven(parameters, None, boundary), np.linspace(0.0, 1.0, 201)
+    bench, share = TemperatureDriven(parameters), np.linspace(0.0, 1.0, 201)
     ends = [np.maximum(temperature, start)]
     for end in ends if by_way_of is None else [np.full_like(temperature, by_way_of), *ends]:
         bench.run(_RAMP_STEP * 200.0 * share, start + share[1:, np.newaxis] * (end - start))

@@ -91,7 +91,7 @@ def test_split_and_live_runs_with_all_effects_equal_one_run_to_the_last_bit():
         bench.advance(voltage[k], 0.0625)
         for name in ("temperature", "stress", "contraction", "temperature_reading"):
             assert np.array_equal(getattr(bench, name), getattr(run, name)[k + 1]), (name, k)
-        assert np.array_equal(bench.current(voltage[k + 1]), run.current[k + 1])
+        assert np.array_equal(bench.current_at(voltage[k + 1]), run.current[k + 1])
         assert bench.deflection_reading == pytest.approx(run.deflection_reading[k + 1], abs=1e-15)
     assert bench.state.clock == run.clock[-1] == time[-1]
 

@@ -10,7 +10,7 @@ the change of geometry with the recovered strain."""
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
-LEAST = 0.05  # lower limit of both brackets
+_LEAST = 0.05  # lower limit of both brackets
 
 
 @borrowing
@@ -18,6 +18,6 @@ def resistance(wires, i):
     """R of wire i [ohm] at the start of a step."""
     xi, rise = wires[i, at.FRACTION], wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
     of_phase = 1.0 + wires[i, at.AUSTENITE_RESISTANCE] * (1.0 - xi)
-    of_phase = max(of_phase + 4.0 * wires[i, at.RESISTANCE_HUMP] * xi * (1.0 - xi), LEAST)
+    of_phase = max(of_phase + 4.0 * wires[i, at.RESISTANCE_HUMP] * xi * (1.0 - xi), _LEAST)
     slope = wires[i, at.RESISTANCE_SLOPE] + wires[i, at.MARTENSITE_RESISTANCE_SLOPE] * xi
-    return wires[i, at.RESISTANCE] * of_phase * max(1.0 + slope * rise, LEAST)
+    return wires[i, at.RESISTANCE] * of_phase * max(1.0 + slope * rise, _LEAST)

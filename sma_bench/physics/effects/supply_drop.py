@@ -15,22 +15,28 @@ from sma_bench.physics import columns as at
 
 
 @borrowing
-def power(wires, i, voltage, resistance, step):
-    """Heat in wire i [W] in a step at `voltage`; sources keep current V/R or power V^2/R."""
+def current(wires, i, voltage, resistance):
+    """Current [A] through wire i at `voltage`; a source keeps V/R, or the power V^2/R."""
     if wires[i, at.SOURCE] > 1.0:
-        return voltage * voltage / wires[i, at.RESISTANCE]
+        return voltage / math.sqrt(wires[i, at.RESISTANCE] * resistance)
     if wires[i, at.SOURCE] > 0.0:
-        current = voltage / wires[i, at.RESISTANCE]
-        return current * current * resistance
+        return voltage / wires[i, at.RESISTANCE]
     resists = resistance + wires[i, at.SUPPLY_RESISTANCE]
     lost = wires[i, at.THRESHOLD] + wires[i, at.SAG]
     if lost > 0.0:
         voltage = max(voltage - lost, 0.0)
-    current = voltage / resists
-    if current > wires[i, at.KNEE]:
+    amperes = voltage / resists
+    if amperes > wires[i, at.KNEE]:
         overload = wires[i, at.OVERLOAD]
-        current = (voltage + overload * wires[i, at.KNEE]) / (resists + overload)
-    if wires[i, at.BATTERY] > 0.0:
-        sags = wires[i, at.BATTERY] * current - wires[i, at.SAG]
+        amperes = (voltage + overload * wires[i, at.KNEE]) / (resists + overload)
+    return amperes
+
+
+@borrowing
+def power(wires, i, voltage, resistance, step):
+    """Heat in wire i [W] in a step at `voltage`; the battery sags by its current."""
+    amperes = current(wires, i, voltage, resistance)
+    if wires[i, at.BATTERY] > 0.0 and wires[i, at.SOURCE] == 0.0:
+        sags = wires[i, at.BATTERY] * amperes - wires[i, at.SAG]
         wires[i, at.SAG] -= sags * math.expm1(-step / wires[i, at.BATTERY_TIME])
-    return current * current * resistance
+    return amperes * amperes * resistance

@@ -15,19 +15,9 @@ Source: Brinson 1993, simplified: above M_s a wire at constant stress transforms
 over (sigma_f - sigma_s)/C_M; a constant stress detwins nothing. Parameters: sigma_s, and sigma_f -
 sigma_s (`wire.detwinning_stress_range`)."""
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-from numpy.typing import ArrayLike
-
-from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
-from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
-from sma_bench.physics.laws.cosine import UNDONE, position, ramp  # noqa: F401 (the law's)
-
-FROM, WITHIN = ORIENTING["brinson"]
+from sma_bench.physics.laws.cosine import ENDS, ramp  # noqa: F401 (the law's)
 
 
 @inlined
@@ -42,9 +32,3 @@ def orients(wires, i, stress):
     """D of a wire, and its slope [1/Pa]."""
     oriented, slope = ramp((stress - wires[i, at.ORIENTS_FROM]) / wires[i, at.ORIENTS_WITHIN])
     return oriented, slope / wires[i, at.ORIENTS_WITHIN]
-
-
-def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
-    """As `orients`, for arrays."""
-    place = np.clip((np.asarray(stress, float) - p[FROM]) / p[WITHIN], 0.0, 1.0)
-    return np.square(np.sin(0.5 * np.pi * place))

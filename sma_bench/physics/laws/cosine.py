@@ -8,7 +8,7 @@ import math
 
 from sma_bench.compiled import inlined
 
-UNDONE = 0.0  # share left at A_f and M_f
+ENDS = (0.0, 1.0)  # positions
 
 
 @inlined
@@ -20,8 +20,3 @@ def ramp(position):
         return 1.0, 0.0
     root = math.sin(0.5 * math.pi * position)
     return root * root, math.pi * root * math.sqrt(1.0 - root * root)
-
-
-def position(share: float) -> float:
-    """Inverse of `ramp`."""
-    return math.asin(math.sqrt(share)) / (0.5 * math.pi)

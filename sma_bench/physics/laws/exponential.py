@@ -15,9 +15,8 @@ import math
 
 from sma_bench.compiled import inlined
 
-UNDONE = 0.025  # share left at A_f and M_f
 RATE = math.log(40.0)
-_LEAST = 1e-6  # smallest share that `position` inverts
+ENDS = (1.0 + math.log(1e-6) / RATE, 1.0)  # positions; a millionth is left at the first
 
 
 @inlined
@@ -27,8 +26,3 @@ def ramp(position):
         return 1.0, 0.0
     share = math.exp(RATE * (position - 1.0))
     return share, RATE * share
-
-
-def position(share: float) -> float:
-    """Inverse of `ramp`; shares below a millionth count as that."""
-    return 1.0 + math.log(max(share, _LEAST)) / RATE

@@ -20,16 +20,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
-from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
 
-UNDONE = 0.0  # share left at A_f and M_f
-FROM, WITHIN = ORIENTING["extended"]
+ENDS = (0.0, 1.0)  # positions
 
 
 @inlined
@@ -59,21 +53,6 @@ def shifting(wires, i, stress):
     bend = wires[i, at.MISMATCH] * max(stress, 0.0)
     s, by_stress = (strain + 0.5 * bend) * stress, strain + slope * stress + bend
     return s, by_stress, s, by_stress
-
-
-def position(share: float) -> float:
-    """Inverse of `ramp`."""
-    return 0.5 + math.sin(math.asin(math.sqrt(share)) - 0.25 * math.pi) / math.sqrt(2.0)
-
-
-def grown(stress: ArrayLike, least: float, within: float) -> Array:
-    """H/eps_L at a stress; `least` is r, `within` sigma_o in the unit of the stress."""
-    return 1.0 - (1.0 - least) * np.exp(-np.maximum(stress, 0.0) / within)
-
-
-def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
-    """As `orients`, for arrays."""
-    return grown(stress, p[FROM], p[WITHIN])
 
 
 def mismatch(p: Mapping[str, Any]) -> float:

@@ -14,9 +14,8 @@ import math
 
 from sma_bench.compiled import inlined
 
-UNDONE = 0.025  # share left at A_f and M_f
 STEEPNESS = 2.0 * math.log(39.0)
-_LEAST = 1e-6  # smallest share, and rest, that `position` inverts
+ENDS = (0.5 + math.log(1e-6) / STEEPNESS, 0.5 - math.log(1e-6) / STEEPNESS)  # but for a millionth
 
 
 @inlined
@@ -24,9 +23,3 @@ def ramp(position):
     """Share and slope."""
     share = 1.0 / (1.0 + math.exp(-STEEPNESS * (position - 0.5)))
     return share, STEEPNESS * share * (1.0 - share)
-
-
-def position(share: float) -> float:
-    """Inverse of `ramp`, within a millionth of 0 and 1."""
-    inside = min(max(share, _LEAST), 1.0 - _LEAST)
-    return 0.5 + math.log(inside / (1.0 - inside)) / STEEPNESS

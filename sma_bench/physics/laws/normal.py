@@ -38,7 +38,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing, inlined
@@ -47,7 +47,7 @@ from sma_bench.parameters.parameters import BRANCH, hysteresis, wire_length
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.stress_dependent_transition import bent
 
-UNDONE = 0.025  # share left at A_f and M_f
+ENDS = (0.5 - 4.75 / BRANCH, 0.5 + 4.75 / BRANCH)  # positions; a millionth is left beyond
 _AWAY = 1.1 * np.arange(-2.0, 3.0)  # z_j
 # w_j: 1, 1 and 3 are a normal distribution's moments of order 0, 2 and 4.
 _OUTER, _INNER = np.linalg.solve([_AWAY[:2] ** 2, _AWAY[:2] ** 4], [0.5, 1.5]).tolist()
@@ -60,7 +60,6 @@ _NARROWEST = 0.01  # K, smallest s
 _OFF = 2.0 * math.sqrt(2.0 / math.pi)  # mean of the two halves minus their peak, over s' a
 _WIDER = 3.0 - 8.0 / math.pi  # (s/s')^2 - 1 over a^2
 _POINTS = ((0.5 * BRANCH) ** 2 - 1.0) / 6.0  # shift of both points per skewness, deviations
-_LEAST = 1e-6  # smallest share, and rest, that `position` inverts
 _HALVINGS = 60  # of the bisection in `begin`
 OF_PLAYS = (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH)
 
@@ -70,11 +69,6 @@ def ramp(position):
     """Share of a full branch and its slope."""
     away = BRANCH * (position - 0.5)
     return 0.5 * math.erfc(-away / _SQRT_2), BRANCH * math.exp(-0.5 * away * away) / _SQRT_2_PI
-
-
-def position(share: float) -> float:
-    """Inverse of `ramp`, within a millionth of 0 and 1."""
-    return 0.5 + float(ndtri(min(max(share, _LEAST), 1.0 - _LEAST))) / BRANCH
 
 
 def groups(parameters: Mapping[str, Any]) -> tuple[Array, Array, float]:
