@@ -132,15 +132,17 @@ class Utilities:
         effect = x[:, : len(self.effects)]
         single = gains[:, None, self._singles]
         others = np.where(self._part, -np.inf, single)  # (m, c, s)
-        lead = gains - np.maximum(others.max(axis=2), 0.0)
+        curve = max(self.found.curve * counted, 0.0)  # a rival of all
+        lead = gains - np.maximum(others.max(axis=2), curve)
         near = gains - _NEAR - _CLOSE * np.maximum(gains, 0.0)
         better = np.where(self._part, single, -np.inf).max(axis=2)
         effect[:, :, _AT["effect.gain"]] = _nats(gains)
         effect[:, :, _AT["effect.lead"]] = _signed(lead)
-        effect[:, :, _AT["effect.rivals"]] = np.log1p((others > near[:, :, None]).sum(axis=2))
+        rivals = (others > near[:, :, None]).sum(axis=2) + (curve > np.maximum(near, 0.0))
+        effect[:, :, _AT["effect.rivals"]] = np.log1p(rivals)
         effect[:, :, _AT["pair.extra"]] = np.where(self._single, 0.0, _signed(gains - better))
         # `unexplained` is judged by the best candidate.
-        best, beyond, last = np.maximum(gains.max(axis=1), 0.0), self.found.beyond, x[:, -1]
+        best, beyond, last = np.maximum(gains.max(axis=1), curve), self.found.beyond, x[:, -1]
         last[:, _AT["unexplained.best_gain"]] = _nats(best)
         last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
         return x

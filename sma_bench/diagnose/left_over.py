@@ -17,7 +17,7 @@ from sma_bench.compiled import in_threads
 from sma_bench.diagnose.result import Missed
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.solver import Fit
+from sma_bench.estimation.solver import Fit, fit
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.physics.simulate import Simulation
@@ -28,6 +28,7 @@ _MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s, time constants of features
 _SIZES = np.geomspace(0.1, 1000.0, 9)  # standard deviations tried for the weights
 _ROUNDS = 3  # of fitting response and noise model in turn
 _MOST_CELLS = 1_000_000  # of an even grid
+_CURVED = 0.1  # of a motion, standard deviation of a bent sensor's error at its end
 _KNOTS = 30  # of an input, per record
 _LEVELS = 8  # knots of the temperature
 _POWER = 0.02  # of a record's largest power, added for derivatives
@@ -250,7 +251,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
     rungs = ambient + np.linspace(0.0, float(warm.max()), _LEVELS + 1)
     levels = np.hstack([_hats(own, rungs)[:, 1:] for own in base.temperature.T])
     # A reading that depends on the drive directly, or is not linear.
-    drive, bend = averages(obs.voltage.sum(axis=1)[:, None]), (before**2)[:, None]
+    drive = averages(obs.voltage.sum(axis=1)[:, None])
     found = {
         ("thermal", "power"): heated,
         ("transformation", "shift"): shift[:, None] * at_bins,
@@ -262,9 +263,38 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
         ("sensor", "current"): only(("current",), before[:, None] * at_bins),
         ("sensor", "offset"): only(MOVED, at_bins),
         ("sensor", "drive"): only(MOVED, drive),
-        ("sensor", "bend"): only(MOVED, bend),
+        ("sensor", "bend"): only(MOVED, _bent(before)),
     }
     return {key: part for key, part in found.items() if np.any(part)}
+
+
+def sensor_curve(fitted: Fit) -> float:
+    """Nats that the same model gains if the readings of motions lie on a bent curve: a sensor that
+    is not linear is no effect of the library, but a rival of each."""
+    given, bent = fitted.problem, fitted
+    moves = [block for block in given.blocks if block.signal.quantity in MOVED]
+    if not moves:
+        return 0.0
+    # Begin with little drift: the noise model of a poor fit has absorbed the residual.
+    noise = {name: replace(one, drift=min(one.drift, one.white))
+             for name, one in given.noise.items()}
+    borders = np.cumsum([len(own.columns) for own in given.nuisances])[:-1]
+    for _ in range(_ROUNDS):
+        curve = np.zeros((len(bent.predicted), 2))
+        for block in moves:
+            size = _CURVED * float(np.ptp(block.signal.value))
+            curve[block.rows] = size * _bent(bent.predicted[block.rows])
+        more = tuple(own.with_columns("curve", part) for own, part in zip(
+            given.nuisances, np.split(curve, borders), strict=True))
+        problem = replace(given, nuisances=more, noise=noise, shared={})
+        bent = fit(problem, fitted.unknowns, bent.x, rounds=2)
+        noise = bent.problem.noise
+    return bent.evidence - fitted.evidence
+
+
+def _bent(values: Array) -> Array:
+    """(n, 2) curves of a reading (n,): its square and its cube."""
+    return _unit(values)[:, np.newaxis] ** np.array([2.0, 3.0])
 
 
 def _hats(at: Array, knots: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -88,6 +88,11 @@ class Search:
     # a smooth input to each stage that explains the residual, the best stage first
     inputs: dict[str, left_over.SmoothResponse]
     inputs_by_best: dict[str, left_over.SmoothResponse]
+
+    @cached_property
+    def curve(self) -> float:
+        """Nats that recalibration gains with a bent curve of the motion's sensor."""
+        return left_over.sensor_curve(self.recalibrated)
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""

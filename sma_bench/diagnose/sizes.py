@@ -181,6 +181,7 @@ class DecisionInputs:
     beyond: float  # nats that a smooth response gains over the best
     input: float  # the same of a smooth input to some stage
     records: int
+    curve: float = 0.0  # nats that a bent curve of the motion's sensor gains over recalibration
 
     def remarks(self) -> dict[str, tuple[str, str]]:
         """Pairs whose effect of smaller gain adds almost nothing: (the other one, this one)."""
@@ -213,7 +214,8 @@ def decision_inputs(search: Search) -> DecisionInputs:
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
         float(moved @ moved), search.nominal.evidence - recalibrated.evidence,
         search.left_by_best.ratio, search.left_by_best.outlier, search.beyond.gain,
-        max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations))
+        max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations),
+        search.curve)
 
 
 def effect_fits(search: Search) -> dict[str, Fit]:

@@ -46,6 +46,12 @@ class Nuisances:
     columns: Array
     about: Array | float = 0.0
 
+    def with_columns(self, kind: str, columns: Array) -> "Nuisances":
+        """With more of a kind, whose effects on the rows are these columns (n, m)."""
+        return Nuisances((*self.items, *[Nuisance(kind)] * columns.shape[1]),
+                         np.hstack([self.columns, columns]),
+                         np.pad(self.about + np.zeros(len(self.items)), (0, columns.shape[1])))
+
 
 Column = tuple[Nuisance, Array]  # with its effect on a record's rows (n,)
 

@@ -79,6 +79,13 @@ def test_the_better_of_two_is_named_and_one_that_is_nearly_as_good_stays_probabl
     assert probabilities(together)["latent_heat+slack"] > 0.8
 
 
+def test_a_bent_curve_of_the_sensor_that_explains_more_is_a_rival_of_every_effect():
+    facts = weighed({"opposing_wires": 500.0})
+    alone, bent = Utilities(facts), Utilities(replace(facts, curve=900.0))
+    assert alone.probabilities()[0] > 0.9 and bent.probabilities()[0] < 0.6
+    assert bent.probabilities()[-1] > 5.0 * alone.probabilities()[-1]  # unexplained
+
+
 def test_an_effect_that_contributes_less_than_a_tenth_of_its_partner_is_a_remark():
     singles = {"slack": 300.0, "latent_heat": 9.0}
     for partner, found in ((1.9, {"slack+latent_heat": ("slack", "latent_heat")}), (2.1, {})):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planted import ALL, planted_record, true_bench
 
-from sma_bench.diagnose.left_over import missed, process_noise
+from sma_bench.diagnose.left_over import missed, process_noise, sensor_curve
 from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit
@@ -58,9 +58,11 @@ def test_a_reading_that_follows_the_drive_or_is_nonlinear_is_of_the_sensor_stage
     record = planted_record(tmp_path / "bag", bench=BENCH)
     tip, volts = record["deflection"], record[f"{BENCH['bench.channels'][0]}.voltage"]
     follows = 1e-4 * np.interp(tip.time, volts.time, volts.values)
-    bends = 0.15 * tip.values**2 / np.max(np.abs(tip.values))
-    for wrong in (follows, bends):
+    share = tip.values / np.max(np.abs(tip.values))
+    for wrong in (follows, 0.15 * tip.values * share, -0.15 * tip.values * share**2):
         read = replace(tip, values=tip.values + wrong)
-        inputs = found_in(replace(record, signals={**record.signals, "deflection": read}))[1]
+        fitted, inputs = found_in(replace(record, signals={**record.signals, "deflection": read}))
         assert next(iter(inputs)) == "sensor"
-    assert all(one.gain < 3.0 for one in found_in(record)[1].values())
+        assert wrong is follows or sensor_curve(fitted) > 100.0
+    fitted, inputs = found_in(record)
+    assert all(one.gain < 3.0 for one in inputs.values()) and sensor_curve(fitted) < 3.0
