@@ -141,9 +141,14 @@ class Problem:
         return replace(self, weights=tuple(found))
 
     def correlations(self, residual: Array) -> list[float]:
-        """Correlation of a residual (n,) from one bin to the next, for each block, 0 to 1."""
-        parts = (residual[block.rows] for block in self.blocks)
-        return [max(float(r[1:] @ r[:-1]) / max(float(r @ r), _NOTHING), 0.0) for r in parts]
+        """Correlation of a residual (n,) from one bin to the next, for each block, 0 to 1. What is
+        below a sensor's noise is no misfit, however smooth it is."""
+        found = []
+        for block in self.blocks:
+            own = residual[block.rows]
+            power = max(float(own @ own), len(own) * block.signal.noise**2, _NOTHING)
+            found.append(max(float(own[1:] @ own[:-1]) / power, 0.0))
+        return found
 
     def in_states(self, z: Array, errors: Array) -> list[Observation]:
         """The records with the states of their runs at z (q,) and their standard `errors` (q,)."""

@@ -219,21 +219,35 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
     several = float(len(problem.observations) > 1)
     first = problem.with_nuisances(parameters, several).with_weights()
     best, tried = _from_starts(first, unknowns, starts, report, rounds=2, keep_noise=True)
+    sensors = {block.signal.quantity for block in first.blocks}
     found = []
     for states in (0.0, 1.0) if several else (0.0,):
-        fitted = best
-        for number in range(_MOST_ROUNDS):
-            x = _with_common_states(fitted)
-            there = first.with_nuisances(unknowns.parameters(x), states)
-            weighed = there.with_weights(fitted.residual)
-            levels = [[n.white for n in one.noises] for one in (weighed, fitted.problem)]
-            changes = np.abs(np.diff(np.log(levels), axis=0))
-            if number >= _WEIGHT_ROUNDS and np.max(changes) < _SAME_WEIGHT:
-                break
-            fitted = fit(weighed, unknowns, x, rounds=1, keep_noise=True)
-            states = _scale_of_states(fitted)
-        found.append(fitted)
+        ended = [_weighed(first, best, states)]
+        if len(sensors) > 1:
+            # A sensor that misfits weighs little, and may misfit because it weighs little: compare
+            # with a fit in which all weigh as much as their noise allows.
+            last = ended[0]
+            sharp = fit(replace(last.problem, weights=()), unknowns, last.x, rounds=1,
+                        keep_noise=True)
+            ended.append(_weighed(first, sharp, last.problem.states))
+        readings = max(map(independent_readings, ended))
+        found.append(max(ended, key=lambda one: log_evidence(one, readings)))
     return found, tried
+
+
+def _weighed(first: Problem, fitted: Fit, states: float) -> Fit:
+    """Fit on, with new weights by the misfit until they change no more."""
+    for number in range(_MOST_ROUNDS):
+        x = _with_common_states(fitted)
+        there = first.with_nuisances(fitted.unknowns.parameters(x), states)
+        weighed = there.with_weights(fitted.residual)
+        levels = [[n.white for n in one.noises] for one in (weighed, fitted.problem)]
+        changes = np.abs(np.diff(np.log(levels), axis=0))
+        if number >= _WEIGHT_ROUNDS and np.max(changes) < _SAME_WEIGHT:
+            break
+        fitted = fit(weighed, fitted.unknowns, x, rounds=1, keep_noise=True)
+        states = _scale_of_states(fitted)
+    return fitted
 
 
 def independent_readings(fitted: Fit) -> float:
