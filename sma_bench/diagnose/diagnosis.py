@@ -137,7 +137,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
                 remarks = [Finding("info", "next experiment", text)]
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
-    if found.curve > max(_FREE_FORM, *utilities.gains):
+    if found.curve > max([_FREE_FORM, *utilities.gains]):
         remarks.append(Finding("warning", "deflection", "a sensor of the motion that is not linear "
                                "would explain more than any effect: compare it with gauge blocks"))
     # Where the gap lies: contribution of effects, unexplained residual, or stated against fitted.
