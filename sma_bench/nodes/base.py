@@ -33,6 +33,7 @@ from sma_bench.ros import node as ros
 # Real-time priorities, below the kernel's own threads; the node that drives the device is highest.
 BRIDGE, DRIVER, CAMERA = 12, 11, 10
 _LAST_MESSAGES = 1.0  # s for subscribers to receive them
+_AT_ONCE = 100_000  # ns between two readings of a clock, if the process was not interrupted
 Answer = str | tuple[bool, str]
 
 
@@ -54,6 +55,7 @@ class BenchNode(ros.OverridableNode):
             raise InputError(f"renamed to {self.get_name()}: other nodes look for {name} by its "
                              "name; another bench has another namespace (-r __ns:=/other)")
         self.failure: InputError | None = None
+        self._to_ros = 0
         self.claims = [claimed(self.get_fully_qualified_name())]
         # A change of clock during a run would spoil all stamps.
         self.set_descriptor("use_sim_time", rcl.ParameterDescriptor(
@@ -118,10 +120,18 @@ class BenchNode(ros.OverridableNode):
 
     def taken(self, message: Any) -> float:
         """Acquisition time of a reading: s of simulated time, else of the monotonic clock."""
-        if self.simulated:
-            return ros.seconds_of(message)
-        age = self.get_clock().now().nanoseconds - ros.stamp_of(message)
-        return time.monotonic() - age / ros.NANOSECONDS
+        offset = 0 if self.simulated else self.to_ros()
+        return (ros.stamp_of(message) - offset) / ros.NANOSECONDS
+
+    def to_ros(self) -> int:
+        """ns from the monotonic clock to ROS time, which may be set while the node runs."""
+        # An interruption between reading the two clocks would shift all stamps: skip such pairs.
+        before = time.monotonic_ns()
+        stamps = self.get_clock().now().nanoseconds
+        after = time.monotonic_ns()
+        if after - before < _AT_ONCE or not self._to_ros:
+            self._to_ros = stamps - (before + after) // 2
+        return self._to_ros
 
     def every(self, seconds: float, act: Callable[[], None]) -> None:
         """Call `act` every so many s of wall time."""

@@ -25,7 +25,6 @@ from sma_bench.ros import node as ros
 
 _TICK = 0.005  # s
 _SWITCH = 1e-4  # s: short, so that the link's thread can read its clock as soon as bytes arrive
-_AT_ONCE = 100_000  # ns between two readings of a clock, if the process was not interrupted
 _CLOCK_STEP = 1000  # Hz: telemetry windows are whole milliseconds
 
 
@@ -49,7 +48,6 @@ class SerialBridge(BenchNode):
         # Since the last report: readings, highest age of one (s); newest temperatures (K).
         self._readings, self._oldest = 0, 0.0
         self._kelvin: dict[str, float] = {}
-        self._to_ros = 0  # ns from the monotonic clock to ROS time, which may be set while it runs
         self._channels = self.parameters["bench.channels"]
         sensors = BenchSensors(self.parameters["bench.channel_sides"], settings)
         self._link = SerialLink(lambda: open_port(settings["port"] or find_port()),
@@ -79,12 +77,6 @@ class SerialBridge(BenchNode):
         self._link.close()
 
     def _tick(self) -> None:
-        # An interruption between reading the two clocks would shift all stamps: skip such pairs.
-        before = time.monotonic_ns()
-        stamps = self.get_clock().now().nanoseconds
-        after = time.monotonic_ns()
-        if after - before < _AT_ONCE or not self._to_ros:
-            self._to_ros = stamps - (before + after) // 2
         while self._arrived:
             self._publish(self._driver.take(self._arrived.popleft(), time.monotonic()))
             self._check()  # the next reading may hide this one's fault
@@ -95,7 +87,7 @@ class SerialBridge(BenchNode):
                 self.get_logger().info(event)
 
     def _publish(self, reading: BenchReading) -> None:
-        stamp = round(ros.NANOSECONDS * reading.time) + self._to_ros
+        stamp = round(ros.NANOSECONDS * reading.time) + self.to_ros()
         for channel, power in zip(self._channels, reading.powers, strict=True):
             self._topics.power(channel, *power, stamp)
         for side in self._sides:

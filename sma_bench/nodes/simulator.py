@@ -61,7 +61,8 @@ class SimulatedClock:
     def on_clock(self, message: Clock) -> None:
         heard = message.clock.sec * ros.NANOSECONDS + message.clock.nanosec
         if (heard - self._last) % self._tick:
-            self._node.fail(InputError(ros.several_publishers(self._node, [ros.CLOCK])))
+            several = ros.several_publishers(self._node, [ros.CLOCK])
+            self._node.fail(InputError(several or f"{ros.CLOCK} had a second publisher"))
 
 
 class Simulator(BenchNode):
