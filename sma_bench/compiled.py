@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -198,6 +197,6 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
 
 
 def threads_to_spare() -> int:
-    """Number of threads; 0 in a process of a pool, which uses all cores already."""
-    alone = parent_process() is not None or os.environ.get("NUMBA_NUM_THREADS") == "1"
-    return 0 if alone else _THREADS
+    """Number of threads; 0 with NUMBA_NUM_THREADS=1, which joblib sets in the processes of a pool
+    that uses all cores already."""
+    return 0 if os.environ.get("NUMBA_NUM_THREADS") == "1" else _THREADS

@@ -3,6 +3,8 @@
 import os
 import signal
 
+from sma_bench.compiled import threads_to_spare
+
 
 def too_large(settings, parameters, tell):
     tell(0.5, f"{settings} {parameters.given} {parameters.given_uncertainty}")
@@ -15,3 +17,7 @@ def vanishes(settings, parameters, tell):
 
 def urgency(settings, parameters, tell):
     return f"{os.sched_getscheduler(0)} {os.getpriority(os.PRIO_PROCESS, 0)}"
+
+
+def threads(settings, parameters, tell):
+    return str(threads_to_spare())

@@ -153,6 +153,11 @@ def test_a_task_has_what_was_given_and_its_failures_are_one_line():
     assert heard == [(0.5, f"{settings} {given.given} {{'wire.mass': 1e-06}}")]
 
 
+def test_the_one_task_of_a_node_uses_as_many_threads_as_a_command():
+    found = Worker("diagnosis").run(small_tasks.threads, {}, Parameters.defaults())
+    assert int(found) > 1
+
+
 def test_work_has_usual_priority_though_its_node_has_a_higher_one():
     """As for a node that shares its process with one that drives."""
 
