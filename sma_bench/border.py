@@ -15,7 +15,7 @@ import stat
 import struct
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,6 @@ _TELLING = (  # characters that are plausible in a logger's file, if decoded rig
     r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
     r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])|[ぁ-んァ-ヶ一-龥]{2}|[！-～]"
 )
-_TITLES = "时间|电[压流]|位移|载荷|시간|전[압류]|온도|변위|하중|時間|電[圧流]|変位|荷重"
 
 
 class OverBudget(InputError):
@@ -103,19 +102,20 @@ def read_text(path: str | Path, largest: int) -> str:
         raise InputError(f"{path}: not a text file") from None
 
 
-def decoded_lines(content: bytes) -> list[str]:
-    """Lines of a text; its accents and degree signs tell the encoding. InputError: binary."""
+def decoded_lines(content: bytes, names: Sequence[str], known: Callable[[str], int]) -> list[str]:
+    """Lines of a text, in that of the encodings `names` in which most is `known`, or which gives
+    accents and degree signs. InputError: binary."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", "replace").splitlines()
     if b"\0" in content:
         raise InputError("holds zero bytes, expected text in UTF-8, or UTF-16 with byte-order mark")
     with contextlib.suppress(UnicodeDecodeError):
         return content.decode("utf-8-sig").splitlines()
-    names = "cp1252", "cp850", "mac_roman", "cp932", "gbk", "cp949"
-    begun = {n: content[:400_000].decode(n, "replace") for n in names}
-    asian = [n for n, text in begun.items() if len(re.findall(_TITLES, text)) > 1]
-    name = max(asian or names[:4], key=lambda n: len(re.findall(_TELLING, begun[n])))
-    return content.decode(name, "replace").splitlines()
+    strange = dict.fromkeys(s for s in content[:400_000].splitlines() if not s.isascii())
+    begun = {n: b"\n".join(strange).decode(n, "replace") for n in names}
+    found = {n: (known(text), n in names[:4] and len(re.findall(_TELLING, text)))
+             for n, text in begun.items()}
+    return content.decode(max(names, key=lambda n: found[n]), "replace").splitlines()
 
 
 def require_there(path: Path) -> None:

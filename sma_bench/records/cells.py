@@ -99,8 +99,24 @@ def plain_title(title: str) -> str:
     return "".join(c for c in folded if not unicodedata.combining(c)).lower()
 
 
+_PARTS = [t for row in WORDS["titles"] for k in ("parts", "words") for t in row.get(k, ())]
+_KNOWN = re.compile("|".join(re.escape(t.strip()) for t in _PARTS if len(t) > 2 or t > "~"))
+_NEUTRAL = {word for key in ("neutral", "room", "wire", "supplies") for word in WORDS[key]}
+_NEUTRAL |= {word for part in _PARTS if not part.isascii() for word in part.split()}
+
+
+def is_neutral(word: str, meaning: str) -> bool:
+    """True if a word in a title with this meaning says nothing of another device."""
+    return len(word) < 3 or word in _NEUTRAL or meaning in title_meanings(word)
+
+
 def words_of(title: str) -> list[str]:
     return re.findall(r"[^\W\d_]+", plain_title(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", title)))
+
+
+def known_letters(text: str) -> int:
+    """How many letters of a text are in words that titles are known by."""
+    return sum(map(len, _KNOWN.findall(plain_title(text))))
 
 
 @lru_cache(maxsize=4096)
@@ -325,6 +341,7 @@ def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
 _DAY = 86_400.0  # s
 _LONGEST_PAUSE = 14.0  # days, of a run: a longer one means that day and month are swapped
+_SHORT_DAYS = 2e-5  # days: a step that would be 20 us if the dates were seconds
 _EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
 
 
@@ -342,6 +359,10 @@ def moment_of(cell: Any) -> Moment | None:
     """The date or clock time written in a cell; None for other text."""
     is_text = isinstance(cell, str) and 4 <= len(cell) <= 40
     found = PATTERNS.moment.match(cell.strip()) if is_text else None
+    if is_text and found is None and re.search(r"\d{4}", cell):
+        for pattern, new in WORDS["rewritten"].items():
+            cell = re.sub(pattern, new, cell)
+        found = PATTERNS.moment.match(cell.strip())
     if found is None or not found[0]:
         return None
     passed, written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
@@ -405,6 +426,34 @@ def moments_of(cells: Sequence[Any],
     seconds = np.full(len(cells), np.nan)
     seconds[there] = total - total[0]
     return seconds, float(total[0]) if is_absolute else None, min(m.fields for m in found), remark
+
+
+def serial_dates(title: str, values: Array) -> tuple[Array, float] | None:
+    """Seconds (n,) since the first of dates that Excel or MATLAB counts in days, and its epoch;
+    None for other numbers. Without a date in the title, the steps are too short for seconds."""
+    there = values[np.isfinite(values)]
+    is_date = any(word in plain_title(title) for word in WORDS["dates"])
+    if len(there) < 2 or not (is_date or np.median(np.abs(np.diff(there))) < _SHORT_DAYS):
+        return None
+    for low, high, zero in WORDS["serial"]:
+        if low <= there.min() and there.max() <= high:
+            return (values - there[0]) * _DAY, float(there[0] - zero) * _DAY
+    return None
+
+
+def continued(values: Array) -> Array:
+    """A counter's values (n,), continued where it began again after 2^16 or 2^32 counts, or
+    after 2^32 us or ms in s."""
+    there = np.isfinite(values)
+    steps = np.diff(values[there])
+    back = steps < 0.0
+    for full in (2.0**16, 2.0**32, 2.0**32 * 1e-3, 2.0**32 * 1e-6) if back.any() else ():
+        after = steps[back] + full
+        if np.all(after > 0.0) and after.max() <= 3.0 * np.median(steps):
+            made = values.copy()
+            made[there] += full * np.append(0.0, np.cumsum(back))
+            return made
+    return values
 
 
 def spread_stamps(time: Array, where: str) -> tuple[Array, str]:

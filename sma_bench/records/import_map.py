@@ -28,6 +28,7 @@ from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 ASK, ROWS = "ask", "row number"  # the latter: clock of a table without time, its period as unit
 _MOVES, _DRIVES = {"elongation", "deflection", "force"}, {"voltage", "current"}
 _LITTLE = 0.02  # tolerance of a duty beyond 0 to 1; drives below this share of the largest are off
+_BEAMS = "beam", "antagonist"  # loads whose motion is a deflection
 _FORMS = {"voltage": ("rms", "mean", "duty", "power"), "current": ("rms", "mean", "peak")}
 _DIRECT = ("rms", "power")  # forms that need no supply voltage
 _CLEAR = 3.0  # motion one way over the other way, from which heat decides its sign
@@ -110,7 +111,8 @@ def read_map(path: str | Path) -> ImportMap:
         in_place = {"duty": "ratio", "power": "power"}.get(entry.form)
         quantity = in_place or (known.quantity if known else "")
         is_angle = (quantity, entry.measured.quantity) == ("length", "angle")
-        is_unit = is_angle or entry.measured.quantity == quantity
+        is_strain = (entry.kind, entry.measured.quantity) == ("elongation", "ratio")
+        is_unit = is_angle or is_strain or entry.measured.quantity == quantity
         rules += [
             (f"{where}signal", entry.signal, in_si, "a name such as wire.voltage"),
             (f"{where}signal", entry.signal, names.count(entry.signal) == 1, "one column"),
@@ -277,11 +279,13 @@ def propose(table: TableFile, bench: Parameters,
                         for m in cells.meanings(c.title, c.unit)[:1]}
     meant = {column.name: proposal.meaning(column) for column in columns}
     # Power drives only if the bench says so: volts and amperes show the resistance, watts do not.
-    drive = bench["bench.drive"]
-    if "power" in meant.values():
-        unused = {*_DRIVES, "duty"} if drive == "power" else {"power"}
-        for name in [name for name, meaning in meant.items() if meaning in unused]:
-            meant[name], remarks[name] = "", message("not_driving", drive=drive)
+    # A strain moves only if there is no length.
+    drive, given = bench["bench.drive"], {*meant.values()}
+    unused = {*_DRIVES, "duty"} if drive == "power" and drive in given else {"power"}
+    unused |= {"strain"} if {"length", "angle"} & given else set()
+    for name in [name for name, meaning in meant.items() if meaning in unused]:
+        meaning, meant[name] = meant[name], ""
+        remarks[name] = message("is_length" if meaning == "strain" else "not_driving", drive=drive)
     clocks = [column for column in columns if meant[column.name] == "time"]
     entries: dict[str, Entry] = {}
     for column in columns:
@@ -396,12 +400,18 @@ class _Proposal:
         words |= {PATTERNS.compound.sub("", word) for word in words}
         named = named or "counter" * bool(np.all(np.diff(column.values) == 1.0))
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
+        if named == "strain" and not words & {*QUANTITIES["strain"]["worse"]} and (
+                "wire.length" in self.bench.given and load_kind(self.bench) not in _BEAMS):
+            unused = ""  # of the wire's length
         if (unit := parse_unit(column.unit)) and unit.quantity in WORDS["foreign"]:
             unused = f"a unit of {unit.quantity}"
         is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))
-        sensors = {w for w in words if named in _DRIVES and PATTERNS.transducer.match(w)}
-        other = min(words & {*WORDS["devices"], *_DOUBTFUL} or sensors, default="")
-        other = other if named in (*_DRIVES, "duty", "power", "temperature") else ""
+        last = re.split(r"[/.](?=\D)", texts[0])[-1]  # of a path
+        parts = {PATTERNS.compound.sub("", word) for word in cells.words_of(last)}
+        strange = {part for part in parts if named in (*_DRIVES, "temperature") and not
+                   cells.is_neutral(part, named) and (cells.title_meanings(part) or not is_wire)}
+        other = min(words & {*WORDS["devices"], *_DOUBTFUL} or strange, default="")
+        other = other if named in (*_DRIVES, "duty", "power", "temperature", "strain") else ""
         if not (meant or unused or is_wire or other or named == "time"):
             self.ask(name, "is_it", named=named)
         if other and not unused:  # `IR camera [C]` may be of the wire, unlike `camera temperature`
@@ -420,6 +430,7 @@ class _Proposal:
     def clock_of(self, column: Column, clocks: list[Column], columns: list[Column]) -> str:
         """The clock of a column: nearest by path, finest of those that agree, next to the left."""
         fitting = [c for c in clocks if c.table == column.table]
+        fitting = [c for c in fitting if np.nanmin(c.values) < np.nanmax(c.values)] or fitting
         if len({c.group for c in fitting}) > 1:
             near = {c: (c.group == column.group, len(os.path.commonprefix([c.name, column.name])))
                     for c in fitting}
@@ -444,12 +455,13 @@ class _Proposal:
         name, channels = column.name, self.bench["bench.channels"]
         unit, signal = self.unit(column, meaning), QUANTITIES[meaning].get("signal", "")
         load, zero = load_kind(self.bench), "none"
+        scale = self.bench["wire.length"] if meaning == "strain" else 1.0
         if signal == "elongation" and load == "displacement":
             self.remarks[name] = "imposed: zero and sign as the machine has it, longer is positive"
         elif signal == "elongation":
-            signal, zero = "deflection" if load in ("beam", "antagonist") else signal, "rest"
+            signal, zero = "deflection" if load in _BEAMS else signal, "rest"
         if signal:
-            return Entry(signal, name, unit, clock, reference=zero)  # type: ignore[arg-type]
+            return Entry(signal, name, unit, clock, scale, reference=zero)  # type: ignore[arg-type]
         fitting = self.channels_of(column) if len(channels) > 1 else list(channels)
         if len(fitting) != 1:
             fitting = [self.ask(name, "which_channel", channels=", ".join(channels))]

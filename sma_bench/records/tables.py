@@ -1,7 +1,6 @@
 """Reads tables of loggers and instruments (text, Excel, MATLAB, HDF5, Parquet) as named columns, in
 the units of the file. Packed formats are read in a process of their own (`unfold.py`)."""
 
-import csv
 import hashlib
 import math
 import os
@@ -12,6 +11,7 @@ import sys
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import accumulate, zip_longest
 from pathlib import Path
@@ -24,8 +24,8 @@ from sma_bench.border import MEGABYTE, decoded_lines, printable, read_bytes, rea
 from sma_bench.errors import InputError, errors_in
 from sma_bench.records import cells as read
 from sma_bench.records.cells import WORDS, cell_kind, message, parse_unit, split_title
+from sma_bench.records.shapes import Row, named_values, reshaped, split, stamped
 
-Row = tuple[int, list[Any]]  # line number from 1, cells
 MOST_COLUMNS, LONGEST_NAME = 1000, 120
 _FEWEST = 3  # rows; fewer next to a larger table are notes
 _SHORT = 0.05  # of the rows; if more lack their last cells, these are empty, not lost
@@ -37,7 +37,6 @@ _LIBRARIES = 512 * MEGABYTE  # address space for the libraries of a reader and t
 _ONE_THREAD = {"MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1",
                "ARROW_DEFAULT_MEMORY_POOL": "system"}
 _TESTS = "stress", "force", "mass", "length"  # a line that states one of these begins a new test
-_LONGEST_CELL = 4  # lines that a quoted cell may run over
 _GROUPS = {*WORDS["room"], *WORDS["wire"], *WORDS["supplies"]}  # that may stand above titles
 _MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
 # What a file begins with, and its reader in unfold.py.
@@ -168,12 +167,18 @@ def _read(content: bytes) -> TableFile:
     tables, outside = list[Table](), list[str]()
     if reader == "text":
         # The separator that gives the most rows of numbers; None stands for blanks.
-        lines = decoded_lines(content)
+        lines = decoded_lines(content, WORDS["encodings"], read.known_letters)
+        stamps, lines = stamped(lines)
         sample = [line for line in lines if line.strip()][:_ROW_SAMPLE]
-        counts = {s: sum(read.is_number_row(cells) for _, cells in _split(sample, s))
-                  for s in ("\t", *";|,", None)}  # fmt: skip
+        parted = {s: [cells for _, cells in split(sample, s)] for s in ("\t", *";|,", None)}
+        counts = {s: sum(map(read.is_number_row, rows)) for s, rows in parted.items()}
+        rows = [] if 2 * max(counts.values()) > len(sample) else named_values(lines)
+        if not any(counts.values()):  # Time;Sensor;Value;Unit
+            counts = {s: sum(len(cells) > 2 for cells in rows) for s, rows in parted.items()}
         separator = next(s for s, n in counts.items() if n >= 0.98 * max(counts.values()))
-        tables, outside = tables_of(_split(lines, separator), separator, "", lines)
+        separator, rows = ("\t", rows) if rows else (separator, split(lines, separator))
+        rows = [(n, [stamps[n - 1], *cells] if stamps else cells) for n, cells in rows]
+        tables, outside = tables_of(rows, separator, "", lines)
     elif reader == "Excel":
         for (title,), rows, _ in _unfolded(content, reader):
             name = printable(title)
@@ -205,31 +210,6 @@ def _unfolded(content: bytes, reader: str) -> list[Any]:
     if error:
         raise InputError(printable(error))
     return found
-
-
-def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
-    """Stripped cells of lines, quoted as in RFC 4180; a line quoted as a whole is unwrapped."""
-    if separator is None:  # date, clock time and AM or PM are one cell
-        joined = (re.sub(r"(?<=\d) (?=\d+:\d\d|[AaPp]\.?[Mm]\b)", "\1", s) for s in lines)
-        parted = (line.replace('"', " ").split() for line in joined)
-        return [(n, [c.replace("\1", " ") for c in row]) for n, row in enumerate(parted, 1)]
-    if not any('"' in line for line in lines):
-        return [(n, [c.strip() for c in s.split(separator)]) for n, s in enumerate(lines, 1)]
-    rows, before = list[Row](), 0
-    # A comment sign in front of a quote would make it part of the text.
-    plain = (re.sub(r'^\s*[#%]+\s*(?=")', "", f"{line.rstrip()} ") for line in lines)
-    reader = csv.reader(plain, delimiter=separator, skipinitialspace=True)
-    try:
-        for cells in reader:
-            if reader.line_num > before + _LONGEST_CELL * max(len(cells), 1):
-                raise csv.Error("a quote without end")
-            if len(cells) == 1 and separator in cells[0]:
-                cells = next(csv.reader(cells, delimiter=separator, skipinitialspace=True), [])
-            rows.append((before + 1, [cell.strip().strip('"').strip() for cell in cells]))
-            before = reader.line_num
-    except csv.Error:
-        return _split([line.replace('"', "") for line in lines], separator)
-    return rows
 
 
 def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
@@ -293,11 +273,14 @@ def tables_of(rows: Sequence[Row], separator: str | None, name: str,
               lines: Sequence[str] = ()) -> tuple[list[Table], list[str]]:
     """Tables in a text or sheet (`separator`: None for blanks, "" for a sheet), and the lines
     outside them. InputError: titles or cells that cannot be understood."""
-    headers, start = set[int](), 0  # rows of LabVIEW headers, whose numbers are no data
+    # Rows of headers (LabVIEW: up to a mark; Yokogawa: with a name), whose numbers are no data.
+    rows, headers, start, is_header = reshaped(rows), set[int](), 0, False
     for k, (_, cells) in enumerate(rows):
         first = str(cells[0]) if cells else ""
         start = k if first == "Channels" else start
         headers |= set(range(start, k + 1)) if first == _END_OF_HEADER else set()
+        is_header = first == "TraceName" or (is_header and cell_kind(first) == "t")
+        headers |= {k} if is_header else set()
     blocks, between, width, plain = list[_Block](), list[Row](), -1, read.PATTERNS.plain_cell.match
     for k, row in enumerate(rows):
         is_plain = all(type(c) is float or (type(c) is str and plain(c)) for c in row[1][:2])
@@ -346,6 +329,7 @@ def _units(cells: Sequence[str], above: Sequence[str] = ()) -> list[str]:
     """The cells without brackets if all (but those of clocks, counters, set values) are units, else
     []."""
     bare = [text.strip("()[]{} ") for text in cells]
+    bare[:1] = ["" if _MEANS.get(text.lower()) == "unit" else text for text in bare[:1]]
     meant = [*map(read.title_meanings, above)]
     if len(above) == len(cells) > 3 and sum(map(bool, meant)) > 1:
         bare = [text if parse_unit(text) or not {*means} & {*WORDS["unitless"]} else ""
@@ -390,7 +374,8 @@ class _Block:
 
     def titles(self, heads: Sequence[Row], width: int) -> tuple[list[str], list[str], list[Row]]:
         """Titles ("" for an index that has none), units, and the lines above them."""
-        texts = [self.title_cells(row, width) for row in heads[-3:]][::-1]
+        most = width + 1 if self.separator == "" else None  # next to a sheet's table are notes
+        texts = [self.title_cells(row, width)[:most] for row in heads[-3:]][::-1]
         remarks, units = list[Row](), list[str]()  # rows between titles and numbers
         for back, titles in enumerate(texts):
             is_narrow = sum(map(bool, titles)) < max(2, width / 2)
@@ -412,7 +397,9 @@ class _Block:
             are_names = all(cell_kind(name) in "t" and ":" not in name for name in above)
             if are_names and len(above) == width == len(titles) > above.count("") + 1:
                 names: list[str] = [*accumulate(above, lambda last, name: str(name or last))]
-                over = [f"{name} " * bool(_GROUPS & {*read.words_of(name)}) for name in names]
+                named = (_GROUPS & {*read.words_of(a)} or titles.count(b) > 1
+                         for a, b in zip(names, titles, strict=True))
+                over = [f"{name} " * bool(use) for name, use in zip(names, named, strict=True)]
                 titles = [a + b if b else "" for a, b in zip(over, titles, strict=True)]
             if width - len(titles) == 1 and self.begins_with_index():
                 titles, units = ["", *titles], ["", *units]
@@ -459,11 +446,14 @@ class _Block:
         # Lines that name channels, as of Graphtec: "CH1", "Wire voltage", "DC", ...
         names = {str(c[0]): str(c[1]) for _, c in above if len(c) > 2 and cell_kind(c[1]) == "t"}
         titles = [names.get(t, t) if t and not read.title_meanings(t) else t for t in titles]
-        of_labview = {str(cells[0]): list(map(str, cells[1:])) for _, cells in self.heads if cells}
-        if titles and _END_OF_HEADER in of_labview:  # one column of times, or one per channel
-            x, of_y = titles[0], iter(of_labview.get("Y_Unit_Label", []))
+        # Headers of LabVIEW and Yokogawa: one column of times, or one per channel, or none.
+        held = {str(cells[0]): list(map(str, cells[1:])) for _, cells in self.heads if cells}
+        header = {role: held[key] for key, role in WORDS["header"].items() if held.get(key)}
+        if "units" in header:
+            titles = ["Time", *header["titles"]] if "titles" in header else titles
+            x, of_y = titles[0], iter(header["units"])
             units = ["s" if title == x else next(of_y, "") for title in titles]
-            named = of_labview.get("X_Dimension", titles)[0]
+            named = header.get("x", titles)[0]
             titles = [named if title == x else title for title in titles[:width]]
         # A last line that is cut short, rows without their last cells, damaged rows.
         if not is_sheet and len(body) > 1 and len(body[-1][1]) < width <= len(body[-2][1]):
@@ -490,23 +480,31 @@ class _Block:
             raise InputError(message("mismatch", titles=len(titles), width=width, line=line,
                                      cells=_text(cells)[:40], hint=hint))  # fmt: skip
         titles, units = ([*texts, *[""] * width][:width] for texts in (titles, units))
+        told = [m for c in above if (m := read.PATTERNS.unit_note.match(_text(c[1])))]
+        unit_of = {read.title_meanings(m[1]): m[2] for m in told}  # Temperature unit: Fahrenheit
+        units = [u if u or split_title(t)[1] else unit_of.get(read.title_meanings(t), "")
+                 for t, u in zip(titles, units, strict=True)]
         lines = np.array([line for line, _ in body], dtype=np.int64)
         made, ignored, notes = _columns(columns, titles, units, name, lines)
         if any(titles) and not titles[0] and self.begins_with_index():
             made = [column for column in made if column.name != "column 1"]
             ignored = {"column 1": "row number", **ignored}
-        more = (tuple(map(self.note, above)), tuple(self.marks), tuple(left_out), tuple(notes))
+        period = [("Sample period", f"{texts[0]} s") for texts in [header.get("period")] if texts]
+        more = ((*map(self.note, above), *period), tuple(self.marks), tuple(left_out), tuple(notes))
         return Table(name, tuple(made), lines, len(self.rows), ignored, *more)
 
 
 def _finer(clock: Column, title: str, values: Array) -> Column | None:
     """A clock of whole seconds with fractions (n,) from the next column; None if that has none."""
-    part = WORDS["fractions"].get(read.plain_title(title), np.nan) * values
-    if clock.fields != 3 or np.any(clock.values % 1.0 > 0.0) or not np.all(part // 1.0 == 0.0):
+    names, units = (read.plain_title(title), *read.words_of(title)[-1:]), WORDS["fractions"]
+    part = values * next((units[name] for name in names if name in units), np.nan)
+    unit = clock.unit or "".join(read.words_of(clock.title)[-1:])
+    is_clock = clock.fields == 3 or parse_unit(unit) == parse_unit("s")
+    if not is_clock or np.any(clock.values % 1.0 > 0.0) or not np.all(part // 1.0 == 0.0):
         return None
-    first = float(part[np.isfinite(clock.values)][0])
+    first = float(part[np.isfinite(clock.values)][0]) if clock.fields else 0.0
     start = None if clock.start is None else clock.start + first
-    return replace(clock, values=clock.values + part - first, start=start)
+    return replace(clock, values=clock.values + part - first, start=start, unit="s")
 
 
 def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str],
@@ -558,11 +556,20 @@ def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Seque
             if values is None:
                 decimal = read.decimal_of(label, signs[k], everywhere, cells)
                 values, unit, bad = read.numbers_of(cells, decimal, unit)
+            is_time = bad < 0 and "time" in read.meanings(title, unit)
+            start, fields = None, 0
+            if is_time and not unit and (dated := read.serial_dates(title, values)):
+                values, start, unit, fields = *dated, "s", 3
+                day = datetime.fromtimestamp(start, UTC).date()
+                notes.append(message("serial", label=label, day=day))
+            elif is_time and (longer := read.continued(values)) is not values:
+                values = longer
+                notes.append(message("overflow", label=label))
             is_next = bool(made) and made[-1].name == labels[k - 1]
-            if is_next and (finer := _finer(made[-1], title, values)):
+            if is_next and (finer := _finer(made[-1], titles[k], values)):
                 made[-1], ignored[label] = finer, f"fractions of the seconds of {finer.name}"
             else:
-                made.append(Column(label, title, unit, values, group))
+                made.append(Column(label, title, unit, values, group, start, fields))
         if bad >= 0:
             cell = printable(str(cells[bad]))[:40]
             raise InputError(message("no_cell", line=lines[bad], label=label, cell=cell))
