@@ -34,6 +34,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 _NO_BORDERS = str.maketrans("\n|", " /")  # a text from a file must not begin a row or a cell
 _WIDTH, _NARROWEST = 96, 40  # characters of a card's line
 _LONGEST = 400  # characters of a result's repr
+_EXACT = 1e-10  # error over its number that only rounding makes
 
 
 @dataclass(frozen=True)
@@ -116,12 +117,28 @@ def in_unit(number: str, unit: str) -> str:
     return number if unit in ("", "1") else f"{number} {unit}"
 
 
-def with_error(value: float, std: float) -> str:
-    """`value ± std`, the value rounded to two digits of the error."""
-    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
-        return f"{value:.4g}"
-    digits = math.floor(math.log10(max(abs(value), std))) - math.floor(math.log10(std)) + 2
-    return f"{value:.{min(max(digits, 2), 8)}g} ± {std:.2g}"
+def with_error(value: float, *errors: float) -> str:
+    """`value ± error`: errors with two digits, the value with the decimals of all of them."""
+    std = math.hypot(*errors)
+    if not (math.isfinite(std) and std > _EXACT * abs(value) and math.isfinite(value)):
+        return f"{value:.6g}"
+    return " ± ".join([_rounded(value, std), *(_rounded(e, e) for e in errors if e > 0.0)])
+
+
+def _rounded(value: float, error: float) -> str:
+    """A number with the decimals that two digits of its error have."""
+    decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
+    value = round(value, decimals)
+    if 1e-4 <= abs(value) < 1e6:
+        return f"{value:.{max(decimals, 0)}f}"
+    return f"{value:.{max(math.floor(math.log10(abs(value))) + decimals, 0)}e}" if value else "0"
+
+
+def for_people(unit: str, size: float) -> tuple[str, float]:
+    """The unit in which a number of that size is printed, and the factor from SI to it."""
+    prefix, factor = ("G", 1e-9) if abs(size) >= 1e9 else ("M", 1e-6)
+    shown = unit.replace("Pa", f"{prefix}Pa")
+    return shown, 1.0 if shown == unit else 1.0 / factor if "/Pa" in unit else factor
 
 
 class Carded:
@@ -189,22 +206,36 @@ def _templates() -> "jinja2.Environment":
     environment.globals["effects"] = EFFECTS
     environment.filters |= {
         "in_print": in_print, "percent": percent, "signed": signed, "quoted": shlex.quote,
-        "two_errors": two_errors, "is_finite": math.isfinite,
-        "shown_unit": lambda unit: "" if unit == "1" else unit,
-        "with_error": lambda number: with_error(number.value, number.std),
+        "two_errors": two_errors, "stated_of": stated_of, "changed": changed,
+        "is_finite": math.isfinite, "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
         "or_empty": lambda value, form, unit="":
             f"{value:{form}}{unit}" if math.isfinite(value) else ""}
     return environment
 
 
+def with_unit(number: Any, *errors: float) -> str:
+    """Value ± error, or these errors, of an `Estimate`, with its unit."""
+    unit, factor = for_people(number.unit, number.value)
+    shown = (number.value, *(errors or [number.std]))
+    return in_unit(with_error(*(factor * x for x in shown)), unit)
+
+
 def two_errors(number: Any) -> str:
     """Value ± statistical ± systematic error of an `Estimate`, with its unit."""
-    parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
-    if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
-        return in_unit(with_error(number.value, number.std), number.unit)
-    value = with_error(number.value, min(parts)).partition(" ±")[0]
-    return in_unit(f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}", number.unit)
+    return with_unit(number, *([number.statistical, number.systematic] if number.systematic else []))
+
+
+def stated_of(number: Any) -> str:
+    """The stated value and error of an `Estimate`, in the unit in which it is printed itself."""
+    factor = for_people(number.unit, number.value)[1]
+    return with_error(factor * number.stated.value, factor * number.stated.std)
+
+
+def changed(value: float, unit: str) -> str:
+    """A change of a parameter with its sign and unit."""
+    unit, factor = for_people(unit, value)
+    return in_unit(f"{factor * value:+.3g}", unit)
 
 
 def card_lines(shown: Card, width: float) -> list[str]:

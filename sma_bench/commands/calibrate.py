@@ -23,6 +23,7 @@ from sma_bench.hardware.serial_link import SerialLink, open_port
 from sma_bench.hardware.serial_messages import Telemetry
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 from sma_bench.parameters.yaml_file import read_parameter_names, write_named_values
+from sma_bench.results import in_unit, with_error
 
 _TABLE = {parameter.name: parameter for parameter in SERIAL_BRIDGE}
 _CONNECTING = 10.0  # s, timeout for the connection, and for the readings of one load
@@ -72,8 +73,7 @@ def run_calibrate(args: SimpleNamespace) -> int:
     # The result. Both sensors of a quantity share one uncertainty: that of the worse one.
     std = {key: value if math.isfinite(value) else None for key, value in fit.std.items()}
     for key, value in fit.parameters.items():
-        error = f" +- {std[key]:.2g}" if std.get(key) is not None else ""
-        print(f"{key:32} {value:.6g}{error} {_TABLE[key].unit}")
+        print(f"{key:32} {in_unit(with_error(value, std.get(key) or 0.0), _TABLE[key].unit)}")
     stated = {f"uncertainty.{key}": value for key, value in fit.uncertainty.items()}
     for key, value in stated.items():
         print(f"{key:32} {value:.2g}")

@@ -11,7 +11,7 @@ from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json
 from sma_bench.commands import COMMANDS, options
-from sma_bench.commands.terminal import progress, say, write_json
+from sma_bench.commands.terminal import print_card, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters.node_tables import NODE_TABLES
 
@@ -67,7 +67,14 @@ def run_call(args: SimpleNamespace) -> int:
     with suppress(InputError):  # results are JSON themselves
         parsed = read_json(answer, "answer", _LARGEST_ANSWER)
     write_json(args.json, {"service": name, "answer": parsed})
-    say(answer.rstrip() or "done")
+    if isinstance(parsed, dict) and "card" in parsed:
+        from sma_bench.diagnose.result import diagnosis_from
+        from sma_bench.identify.result import identification_from
+
+        read = diagnosis_from if "verdict" in parsed else identification_from
+        print_card(read(parsed, name))
+    else:
+        say(answer.rstrip() or "done")
     return 0
 
 

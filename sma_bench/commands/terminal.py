@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 # Widths in characters. A table that does not fit is folded, not cut.
 _FOR_FILES = 100  # of a table that does not go to a terminal
-_NAME_WHOLE = 36  # of the first column, up to which names in it are not folded
-_LEAST, _BETWEEN = 10, 2  # of a folded column at least; of the space between columns
+_LEAST, _NAME_WHOLE = 20, 40  # of a folded text at least; of what stays whole, at most
+_BETWEEN = 2  # of the space between columns
 _SEVERITIES = {"info": "green", "warning": "yellow", "error": "red"}
 # Progress goes to standard error: on a terminal one line, shown after FIRST_SHOWN s and rewritten
 # every _REFRESH s; elsewhere a line after FIRST_LINE s and every NEXT_LINE s.
@@ -64,7 +64,8 @@ def print_card(result: Any, asked: Invocation | None = None) -> None:
 
 
 def print_table(table: "Table") -> None:
-    """Print a table; its numeric columns are flush right and folded last."""
+    """Print a table. Where it is too wide, texts are folded at spaces and items of lists get lines
+    of their own; columns that still do not fit follow in a further part, after the first column."""
     from rich.cells import cell_len
     from rich.table import Table as Shown
     from rich.text import Text
@@ -72,23 +73,37 @@ def print_table(table: "Table") -> None:
     console = output_console()
     if table.title:
         console.print(Text(table.title, style="bold"))
-    rows = [[printable(cell, "\n") for cell in row] for row in table.rows]
+    rows = [[printable(cell.replace("; ", "\n"), "\n") for cell in row] for row in table.rows]
     columns = [*zip(table.header, *rows, strict=True)]
     full = [max(cell_len(line) for cell in own for line in cell.split("\n")) for own in columns]
-    # If not all fits, numbers and names keep their width, provided the other columns get _LEAST.
-    space, kept = console.width - _BETWEEN * (len(full) - 1), dict[int, int]()
-    if sum(full) > space:
-        kept = {k: w for k, w in enumerate(full) if k in table.numeric}
-        kept.setdefault(0, min(full[0], _NAME_WHOLE))
-        if sum(kept.values()) + _LEAST * (len(full) - len(kept)) > space:
-            kept = {}
-    shown = Shown(box=None, pad_edge=False)
-    for k, heading in enumerate(table.header):
-        shown.add_column(Text(heading), justify="right" if k in table.numeric else "left",
-                         overflow="fold", width=kept.get(k))
-    for row in rows:
-        shown.add_row(*map(Text, row))
-    console.print(shown)
+    # What stays whole: items of a column of lists, words of others.
+    words = [max(cell_len(word) for cell in own
+                 for word in (cell.split("\n" if any("\n" in c for c in own) else None) or [""]))
+             for own in columns]
+    least = [word if k in table.numeric else min(max(word, min(whole, _LEAST)), _NAME_WHOLE)
+             for k, (word, whole) in enumerate(zip(words, full, strict=True))]
+    parts = [[0]]
+    for k in range(1, len(full)):
+        width = sum(least[j] + _BETWEEN for j in [*parts[-1], k]) - _BETWEEN
+        if width > console.width and len(parts[-1]) > 1:
+            parts.append([0])
+        parts[-1].append(k)
+    for number, part in enumerate(parts):
+        if number:
+            console.print()
+        space = console.width - sum(least[k] + _BETWEEN for k in part) + _BETWEEN
+        shown = Shown(box=None, pad_edge=False)
+        widths = dict[int, int]()
+        for n, k in enumerate(sorted(part, key=lambda k: full[k] - least[k])):
+            widths[k] = least[k] + max(min(full[k] - least[k], space // (len(part) - n)), 0)
+            space -= widths[k] - least[k]
+        for k in part:
+            shown.add_column(Text(table.header[k]), width=widths[k], overflow="fold",
+                             justify="right" if k in table.numeric else "left")
+        for row in rows:
+            if len(parts) == 1 or any(row[k] for k in part[1:]):
+                shown.add_row(*(Text(row[k]) for k in part))
+        console.print(shown)
 
 
 def print_findings(findings: Iterable[Finding]) -> None:

@@ -231,7 +231,7 @@ def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
     """A finding about the bench's unknowns that are not stated."""
     names = [n for item in unknowns.items[: unknowns.bench] for n in (item.name, item.partner)
              if n and n not in parameters.given and BY_NAME[n].spread is not None]
-    text = (f"nobody stated {', '.join(names)}: each may differ from its default as much as such "
+    text = (f"not stated: {', '.join(names)}: each may differ from its default as much as such "
             "wires and benches vary; identify it, or state a value")
     return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
 

@@ -94,6 +94,8 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
 
     def fit_with(law: str, air: str) -> None:
         done = len(fits) + len(faults)
+        share = part(report, done / count, (done + 1) / count, law)
+        share(0.0, "choosing the starts")
         assumed = {"wire.law": law} | ({} if settled else {"wire.convection": air})
         try:
             own = priors.as_in_the_field(parameters.assuming(assumed, {}))
@@ -107,7 +109,6 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
                 ended = dict(zip(unknowns.names, begin, strict=True))
                 ended |= dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
                 tries.append(np.array([ended[name] for name in unknowns.names]))
-            share = part(report, done / count, (done + 1) / count, law)
             fits[law, air] = solver.fit_imperfect(problem, own, unknowns, tries, share)
         except (FitError, InputError) as error:  # or the law contradicts stated parameters
             faults.append(InputError(str(error)))

@@ -28,7 +28,7 @@ from sma_bench.physics.effects.residual_strain import carried_over, carries_over
 from sma_bench.physics.kernel import at_rest
 from sma_bench.physics.material import time_constant
 from sma_bench.physics.simulate import Bench, Simulation, simulate_from_rest
-from sma_bench.records.record import Record, ohms_of_source
+from sma_bench.records.record import Record, has_samples, ohms_of_source
 
 QUANTITIES = ("current", "temperature", "deflection")
 EVERYTHING = (*QUANTITIES, *LOAD_FRAME)
@@ -390,10 +390,12 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
                      f"{skipped:.3g} s, after which a wire of the stated time constant has "
                      "forgotten its past")
         raise InputError(f"{record.path}: {wrong}")
+    left_out = [m.name for m in rig.measured if m.quantity not in quantities]
+    if moves_tip(parameters) and has_samples(record, "force"):  # of which wire is not known
+        left_out.append("force")
     return Observation(str(record.path), rig.channels, rig.sides, grid,
                        rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
-                       tuple(m.name for m in rig.measured if m.quantity not in quantities),
-                       rig.holds, None if rig.moved is None else np.interp(grid, *rig.moved),
+                       tuple(left_out), rig.holds, None if rig.moved is None else np.interp(grid, *rig.moved),
                        ohms=rig.ohms, epoch=record.start_ns * 1e-9, skipped=skipped)
 
 

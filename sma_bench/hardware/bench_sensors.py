@@ -262,7 +262,7 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     named, named_std = ({f"calibration.{name}.{key}": value for key, value in numbers.items()}
                         for numbers in (found, std))
     rest = math.sqrt(float(np.mean((calibrated - y) ** 2)))
-    return SensorFit(named, named_std, rest, uncertainty)
+    return SensorFit(named, named_std, rest if rest > _rounding(y) else 0.0, uncertainty)
 
 
 def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
@@ -278,8 +278,14 @@ def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
     offset, freedom = float(y.mean() - gain * centre), len(x) - 2
     squares = float(((y - gain * x - offset) ** 2).sum())
     scatter = math.sqrt(squares / freedom) if freedom else math.nan
+    offset, scatter = (0.0 if abs(one) < _rounding(y) else one for one in (offset, scatter))
     gain_std = scatter / math.sqrt(spread)
     return gain, offset, gain_std, scatter * math.sqrt(1 / len(x) + centre**2 / spread), scatter
+
+
+def _rounding(values: Array) -> float:
+    """Upper limit of the arithmetic's rounding errors: what is smaller is 0."""
+    return 1e-12 * float(np.abs(values).max())
 
 
 def _last_digit(values: Sequence[float]) -> float:

@@ -251,7 +251,7 @@ class CommandGate:
 
 def _named(sender: str) -> str:
     """A sender's name for messages, without the suffix that makes it unique."""
-    return sender.partition("#")[0] or "a node without a name"
+    return sender.partition("#")[0] or "an unsigned sender"
 
 
 @dataclass

@@ -312,9 +312,10 @@ def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives
                          f"{'; '.join(dict.fromkeys(found + every))}; needed: "
                          f"{'; '.join(NEEDS[name] for name in listed)}")
     for name in missing:
-        if reasons[name] and name != "E8":  # tried on the force of any clamped wire
-            run.notes.append(remark("not identified", "warning" if name in run.failed else "info",
-                                    name, reasons="; ".join(reasons[name]), needs=NEEDS[name]))
+        if reasons[name]:  # E8 is tried on the force of any clamped wire
+            meant = name in run.failed and name != "E8"
+            run.notes.append(remark("not identified", "warning" if meant else "info", name,
+                                    reasons="; ".join(reasons[name]), needs=NEEDS[name]))
 
 
 def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,

@@ -17,7 +17,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
-from sma_bench.results import Carded, card_rows, decoded, sentences
+from sma_bench.results import Carded, card_rows, decoded, sentences, with_unit
 
 if TYPE_CHECKING:
     from sma_bench.estimation.laws import Band
@@ -194,7 +194,8 @@ def identification_from(document: Any, where: str) -> Identification:
 
 
 class _Words(string.Formatter):
-    """As `str.format`; a name may have a factor: {stress/1e6:.0f} MPa, {share*100:+.1f} %."""
+    """As `str.format`; a name may have a factor: {stress/1e6:.0f} MPa, {share*100:+.1f} %. An
+    estimate is written with its error and unit."""
 
     def get_field(self, field: str, args: Sequence[Any], facts: Mapping[str, Any]) -> Any:
         field, _, divisor = field.partition("/")
@@ -203,6 +204,10 @@ class _Words(string.Formatter):
         if factor or divisor:
             value = value * float(factor or 1.0) / float(divisor or 1.0)
         return value, name
+
+    def format_field(self, value: Any, spec: str) -> str:
+        is_estimate = isinstance(value, Estimate)
+        return with_unit(value) if is_estimate else str(super().format_field(value, spec))
 
 
 _entries = cache(lambda: read_yaml(Path(__file__).with_name("remarks.yaml")))

@@ -17,6 +17,7 @@ from sma_bench.identify.signals import AMBIENT, COEFFICIENT, SPECIFIC_HEAT
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import NITI_DENSITY
+from sma_bench.results import with_unit
 
 SIGNIFICANT = 3.0  # standard errors by which two numbers differ
 _SURPRISING = 3.5  # standard errors from a stated value that are worth a warning
@@ -69,9 +70,10 @@ class IdentificationRun:
         """An identified number, else the given one, with a remark that it was taken."""
         if name in self.estimates:
             return self.estimates[name]
-        prior = Estimate(self.given[name], self.given.std(name), "", "given")
+        unit = BY_NAME[name].unit
+        prior = Estimate(self.given[name], self.given.std(name), unit, "given")
         cause = "taken from the file" if name in self.given.given else "taken from the table"
-        finding = remark(cause, subject=name, value=prior.value, std=prior.std)
+        finding = remark(cause, subject=name, prior=prior)
         if finding not in self.notes:
             self.notes.append(finding)
         return prior
@@ -184,9 +186,8 @@ class IdentificationRun:
                 notes.append(remark("only a product", subject=name, factor=factor, e=own,
                                     other=other))
         if others := {n: self.estimates[n] for n in self.another_alloy()}:
-            each = (f"{n} {e.value:.4g} +- {e.std:.2g} for {given[n]:.4g} {BY_NAME[n].unit}"
-                    for n, e in others.items())
-            notes.append(remark("another alloy", shown=", ".join(each), contradicted=len(others)))
+            each = ", ".join(f"{n} {with_unit(e)}" for n, e in others.items())
+            notes.append(remark("another alloy", shown=each, contradicted=len(others)))
 
     def another_alloy(self) -> list[str]:
         """Parameters of the alloy that were not stated and whose default the records contradict."""

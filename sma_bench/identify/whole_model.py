@@ -206,12 +206,16 @@ def _findings(result: Result) -> Iterator[Finding]:
     limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in result.numbers) else _FAR
     for n in (n for n in result.numbers if abs(n.moved) > limit):
         away, unit = (n.value - n.prior_mean) / n.prior_std, BY_NAME[n.name].unit
-        yield remark("contradicted", subject=n.name, n=n, unit=unit, deviations=away)
+        cause = "contradicted" if n.name in result.fit.unknowns.base.given else "unusual"
+        yield remark(cause, subject=n.name, found=Estimate(n.value, n.std, unit), deviations=away,
+                     prior=Estimate(n.prior_mean, n.prior_std, unit))
     for n in (n for n in shown if n.at_end):
         yield remark("end of a range", subject=n.name, value=n.value)
     severity: Severity = "info" if result.agreed > 1 else "warning"
     yield remark("starts", severity, agreed=result.agreed, starts=result.starts)
     fitted = result.fit
+    for name in dict.fromkeys(n for one in fitted.problem.observations for n in one.left_out):
+        yield remark("not compared", subject=name)
     noise = fitted.problem.with_noise(fitted.residual).noise
     for block in fitted.problem.blocks:
         signal, residual = block.signal, fitted.residual[block.rows]

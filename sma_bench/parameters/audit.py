@@ -14,6 +14,7 @@ WIRE_EMISSIVITY = (0.2, 0.9)  # bright to oxidised
 # J/(kg K): calorimetry of NiTi outside its transformation gives 440 to 550; data sheets have 322
 # (0.077 cal/(g K), Nitinol Devices & Components) and 837 (0.2 cal/(g K), Dynalloy).
 NITI_SPECIFIC_HEAT = (400.0, 650.0)
+NITI_STRETCHES = 30e6  # Pa, martensite of annealed wires yields at 50 to 150
 NITI_WORKING_STRESS = 250e6  # Pa, data sheets advise 170 to 200 for many cycles
 NITI_STRENGTH = 800e6  # Pa, where austenite of most wires slips
 LENGTH_TOLERANCE = 0.10
@@ -32,8 +33,9 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
         clashes = [finding.subject for finding in papers if finding.severity != "info"]
         found = [finding for finding in found if finding not in papers]
         if papers:
-            text, few = f"{len(papers)} checks rest on the paper's own numbers", len(clashes)
-            text += f", {few} of them clash"
+            few = len(clashes)
+            text = (f"{len(papers)} checks rest on the paper's own numbers, stated or by default; "
+                    f"{few} of them clash")
             if clashes:
                 text += f" ({', '.join(clashes)}); sma-bench audit --paper lists them"
             found.append(Finding("info", "the paper's numbers", text, {"clashes": float(few)}))
@@ -45,7 +47,10 @@ def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str,
     """A finding with texts of audit.yaml: a warning with the text `clash`, or info without one."""
     texts = _TEXTS[subject]
     facts["wire"] = f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
-    text = texts["text"] + (texts[clash] if clash else texts.get("passed", ": plausible"))
+    ending = texts[clash] if clash else texts.get("passed", ": plausible")
+    if clash and parameters.given and texts["of"][0] not in parameters.given:
+        ending = texts.get("unstated", ending)
+    text = texts["text"] + ending
     severity: Severity = "warning" if clash else "info"
     return Finding(severity, subject, text.format(**numbers, **facts), numbers)
 
@@ -67,9 +72,9 @@ def _wire(p: Parameters) -> list[Finding]:
                       square=p["wire.surface_area"] * 1e6, stated=stated)
     ohm, (low, high) = p["wire.resistance"], NITI_RESISTIVITY
     numbers, verdicts, clash = {}, [], ""
-    for name, length in (("mass", by_mass), ("area", by_area)):
+    for name, length in (("mass", by_mass), ("surface_area", by_area)):
         implied = ohm * law.wire_section(p) / length
-        numbers[f"resistivity_from_{name}_length"] = implied
+        numbers[f"resistivity_from_{name.removeprefix('surface_')}_length"] = implied
         clash = clash if low <= implied <= high else "unlike"
         fits = "fits" if low <= implied <= high else "does not fit"
         over = f"over the {length:.3f} m of wire.{name}"
@@ -121,7 +126,7 @@ def _material(p: Parameters) -> list[Finding]:
     low, high, theta = (p[f"wire.{name}"] for name in (
         "martensite_modulus", "austenite_modulus", "thermal_expansion_factor"))
     moduli = _judged(p, "moduli", "swapped" if low > high else "",
-                     {"martensite": low, "austenite": high})
+                     {"martensite": low, "austenite": high}, soft=low / 1e9, stiff=high / 1e9)
     soft, stiff = NITI_EXPANSION[0] * low, NITI_EXPANSION[1] * high
     numbers = {"thermal_expansion_factor": theta, "alpha_E_low": soft, "alpha_E_high": stiff}
     clashes, size = [], abs(theta)
@@ -157,10 +162,12 @@ def _drive_and_load(p: Parameters) -> list[Finding]:
         grown = math.expm1(growth) / growth if growth else 1.0
         stress, most = force / section, (force + p["load.stiffness"] * grown * stroke) / section
         shift = most / p["wire.stress_influence_austenite"]
-        clash = "few cycles" if most > NITI_WORKING_STRESS else ""
+        clash = "light" if p["load.kind"] == "force" and most < NITI_STRETCHES else ""
+        clash = "few cycles" if most > NITI_WORKING_STRESS else clash
         clash = "slips" if most > NITI_STRENGTH else clash
         numbers = {"force": force, "stress": stress, "stress_at_full_stroke": most, "shift": shift}
         found.append(_judged(p, "force", clash, numbers, strength=NITI_STRENGTH / 1e6,
                              working=NITI_WORKING_STRESS / 1e6, rest=stress / 1e6,
-                             full=most / 1e6, stroke=stroke * 1e3))
+                             full=most / 1e6, stroke=stroke * 1e3, newton=9.81 * force,
+                             enough=NITI_STRETCHES / 1e6))
     return found

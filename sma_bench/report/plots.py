@@ -168,7 +168,8 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
     left.errorbar(off, place, xerr=random, fmt="o", color=draw.MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
     left.axvline(0.0, color=draw.MODEL, lw=1.0, ls="--")
-    left.set_ylim(-0.6, len(shown) - 0.4)
+    reach = 1.1 * float(np.max(np.abs(off) + whole, where=whole <= _CLEAR, initial=1.0))
+    left.set(ylim=(-0.6, len(shown) - 0.4), xlim=(-reach, reach))
     left.set_xlabel("difference from the stated value [%]")
     draw.legend_above(left)
     informed = np.nan_to_num([100.0 * n.informed for n, _ in shown])

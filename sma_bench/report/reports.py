@@ -22,7 +22,7 @@ from sma_bench.report.drawing import PaperColumn
 from sma_bench.report.experiment_figures import experiment_pictures
 from sma_bench.report.page import Made, Picture, Section, Table, digest, write_report
 from sma_bench.report.tables import cell_of, diagnosis_tables, record_line, record_tables, table_of
-from sma_bench.results import LARGEST, card, sentences, signed, with_error
+from sma_bench.results import LARGEST, card, for_people, sentences, signed, with_error
 
 
 def write_identification_report(directory: str | Path, result: Identification,
@@ -95,7 +95,9 @@ def improvements(result: Diagnosis) -> Table:
                                    result.model.errors, strict=True):
         name, stated = item.name, item.value(0.0)  # some follow from the geometry
         moved = "" if name.startswith("effect.") or not item.std else signed(float(x), ".1f")
-        rows.append((name, f"{stated:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
+        unit, factor = for_people(BY_NAME[name].unit, value)
+        rows.append((name, f"{factor * stated:.6g}", with_error(factor * value, factor * std), unit,
+                     moved))
     header = ("parameter", "as stated", "improved", "unit", "moved by [std]")
     return Table(header, rows, frozenset({1, 2, 4}))
 

@@ -95,7 +95,9 @@ class NodeCalls:
         answer = self._call(f"{node}/set_parameters", SetParameters, request, timeout)
         for name, result in zip(values, answer.results, strict=True):
             if not result.successful:
-                raise InputError(f"{node}: {name}: {shown(result.reason)}")
+                lists = f"no such parameter; sma-bench run {node} --help lists all"
+                reason = lists if "undeclared" in result.reason else shown(result.reason)
+                raise InputError(f"{node}: {name}: {reason}")
 
     def _call(self, service: str, kind: Any, request: Any, timeout: float) -> Any:
         client = self.client(service, kind)

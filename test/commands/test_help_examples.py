@@ -11,9 +11,11 @@ from rich.cells import cell_len
 from test_documented_commands import check_command
 
 from sma_bench.cli import COMMANDS, load_command, main
+from sma_bench.commands.terminal import print_table
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.report.tables import Table
 
 PRINT_NO_RESULT = {"run", "dashboard", "example"}
 
@@ -63,9 +65,22 @@ def test_tables_fit_the_terminal_and_names_are_not_folded(columns, capsys, monke
             assert [name for name in names if len(name) <= 36 and name not in out] == []
 
 
+def test_a_wide_table_is_printed_in_parts_with_whole_names_and_a_number_a_line(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    numbers = ["austenite_change = -0.1169 ± 0.0058", "hump = -0.0323 ± 0.0068"]
+    names = ["phase_dependent_resistance", "temperature_dependent_convection"]
+    header = ("candidate", "stage", "probability", "gap over noise", "nats", "numbers")
+    row = (" + ".join(names), "electrical+thermal", "0.614", "3.86", "+2132.0", "; ".join(numbers))
+    print_table(Table(header, [row], frozenset({2, 3, 4})))
+    lines = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert max(map(cell_len, lines)) <= 80
+    assert all(any(part in line for line in lines) for part in [*names, *numbers, row[1]])
+
+
 HELP = """
 import contextlib, io, sys
 from sma_bench.cli import COMMANDS, load_command, main
+from sma_bench.commands.terminal import print_table
 from sma_bench.parameters.node_tables import NODE_TABLES
 for command in COMMANDS:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):

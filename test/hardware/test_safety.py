@@ -169,7 +169,7 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
         assert gate.command([3.0], now, one) == ""
         said = "/bench/experiment: /bench/experiment commands already"
         assert gate.command([6.0], now, other) == said
-        assert "a node without a name: /bench/experiment commands" in gate.command([6.0], now)
+        assert "an unsigned sender: /bench/experiment commands" in gate.command([6.0], now)
         assert gate.outputs(now) == (3.0,)
     assert (gate.commander, gate.rejected) == ("/bench/experiment", 200)
     assert gate.command([6.0], now + 0.49, other) != ""

@@ -69,7 +69,11 @@ def test_missing_current_is_reported_and_the_rest_identified_with_the_given_resi
 
 @pytest.mark.compiled
 def test_a_default_in_use_and_samples_left_out_are_warned_about():
-    found = identify([ramp()], WEIGHED)
+    pulled = ramp()
+    time = pulled["wire.temperature"].time
+    pulled.signals["force"] = Signal("force", "N", time, 5.0 + 0.02 * np.sin(time))
+    found = identify([pulled], WEIGHED)
+    assert any("1 temperatures held" in note.text for note in found.notes if note.subject == "E8")
     assert any(R in w and "not measured on this wire" in w for w in found.warnings)
     # A ramp is not made for E1: that E1 is missing is no warning.
     assert any("not identified" in note.text for note in found.notes if note.subject == "E1")

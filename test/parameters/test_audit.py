@@ -17,7 +17,7 @@ SOUND = Parameters.defaults().replace({"wire.mass": 6450.0 * math.pi * 0.3e-3**2
                                        CP: 450.0, "wire.martensite_start_temperature": 330.0,
                                        "wire.martensite_finish_temperature": 318.0,
                                        "bench.maximum_voltage": 8.0})  # fmt: skip
-FORCE = {"load.kind": "force", "load.force": 1.0}
+FORCE = {"load.kind": "force", "load.force": 5.0}
 AUDITED = yaml.safe_load(Path(__file__).with_name("audited.yaml").read_text())
 
 
@@ -39,7 +39,10 @@ def test_what_is_wrong_with_the_papers_numbers_is_found_and_others_are_judged_an
     # A held force is compared with the stress that a wire can carry.
     held = by_subject(PAPER.replace(FORCE))["force"]
     assert held.severity == "info" and "force" not in found
-    assert held.numbers["stress"] == pytest.approx(1.0 / (math.pi * 0.15e-3**2))
+    assert held.numbers["stress"] == pytest.approx(5.0 / (math.pi * 0.15e-3**2))
+    # A weight too small to stretch the cold wire may be one in kg.
+    light = by_subject(PAPER.replace(FORCE | {"load.force": 0.5}))["force"]
+    assert light.severity == "warning" and "in kg, it is 4.91 N" in light.text
 
 
 def test_numbers_that_fit_each_other_raise_no_warning():
@@ -62,6 +65,9 @@ def test_the_papers_own_numbers_are_one_line_unless_asked_for(capsys, tmp_path):
     brief = audit(PAPER, papers_own=False)
     assert [f.subject for f in brief] == ["thermal expansion", "the paper's numbers"]
     assert "heat transfer" in brief[-1].text and brief[-1].severity == "info"
+    # A default that does not suit another wire is named as one.
+    other = by_subject(Parameters({"wire.diameter": 0.25e-3, "wire.length": 0.2}))
+    assert "not stated" in other["heat transfer"].text and "not stated" in other["resistivity"].text
     file = tmp_path / "lab.yaml"
     write_parameters(file, PAPER)
     for arguments, told in (([str(file)], False), ([str(file), "--paper"], True), ([], True)):

@@ -46,6 +46,10 @@ def test_a_card_carries_the_facts_of_a_diagnosis():
     assert worst.startswith("current") and "98 % [95, 99]" in worst and "temperature" in quiet
     moved = {"name": "wire.mass", "change": 1e-6, "unit": "kg", "deviations": 4.0}
     assert "wire.mass" in rows(diagnosed(moved=[moved]))["moved"][0]
+    both = [{"signal": f"wire.{q}", "needed": 0.01, "with_best": 0.0}
+            for q in ("temperature", "current")]
+    (drifted,) = rows(diagnosed(drifts=both))["drift"]
+    assert "wire.temperature by 0.01 K" in drifted and "wire.current by 10 mA" in drifted
     proposed = {"kind": "E6", "why": "isobaric tests", "separates": ["slack", "supply_drop"]}
     proposed |= {"chance": 0.8, "minutes": 2.5}
     (said,) = rows(diagnosed(next_experiment=proposed))["next"]
@@ -75,9 +79,9 @@ def test_every_verdict_has_its_own_title_and_a_next_step_that_fits_the_command(v
 
 def test_numbers_are_shown_with_both_errors_and_the_stated_value():
     resistance, ambient = results.number_rows(identified())
-    off = ("2.7 ± 0.01", "+3.7 % (+3.7 std)")
-    assert resistance == (WIRE, "2.8 ± 0.007 ± 0.024 ohm", "98 %", *off, "E1, warned")
-    assert ambient == (ROOM, "296.4 ± 0.5 K", "", "", "", "")
+    off = ("2.700 ± 0.010", "+3.7 % (+3.7 std)")
+    assert resistance == (WIRE, "2.800 ± 0.0070 ± 0.024 ohm", "98 %", *off, "E1, warned")
+    assert ambient == (ROOM, "296.40 ± 0.50 K", "", "", "", "")
     found = rows(identified())
     assert WIRE in found["off"][0] and "-0.70" in found["linked"][0]
     assert results.two_errors(Estimate(2.0, 0.0)) == "2"
@@ -88,10 +92,16 @@ def test_numbers_are_shown_with_both_errors_and_the_stated_value():
     shares = [results.percent(share) for share in (0.001, 0.5, 0.9999)]
     assert shares == ["below 1 %", "50 %", "above 99 %"]
     for value, std, text in (
-        (3.11755, 0.0004, "3.11755 ± 0.0004"), (0.25, 0.65, "0.25 ± 0.65"),
+        (3.11755, 0.0004, "3.11755 ± 0.00040"), (0.25, 0.65, "0.25 ± 0.65"),
         (57.61e9, 1.6e9, "5.76e+10 ± 1.6e+09"), (1.5, 0.0, "1.5"), (2.0, float("nan"), "2"),
+        (-1e-5, 1e-5, "-1.0e-05 ± 1.0e-05"), (10912.3, 1540.0, "10900 ± 1500"),
+        (4.1, 9.5e-16, "4.1"), (1e-7, 0.02, "0 ± 0.020"),
     ):  # fmt: skip
         assert results.with_error(value, std) == text
+    modulus = Estimate(57.61e9, 1.6e9, "Pa", stated=Estimate(55.4e9, 0.5e9))
+    assert results.two_errors(modulus) == "57.6 ± 1.6 GPa"
+    assert results.stated_of(modulus) == "55.40 ± 0.50"
+    assert results.two_errors(Estimate(-1.5e-7, 2e-8, "K/Pa")) == "-0.150 ± 0.020 K/MPa"
 
 
 def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_reads_a_sentence(
