@@ -223,7 +223,7 @@ def with_unit(number: Any, *errors: float) -> str:
 
 def two_errors(number: Any) -> str:
     """Value ± statistical ± systematic error of an `Estimate`, with its unit."""
-    return with_unit(number, *([number.statistical, number.systematic] if number.systematic else []))
+    return with_unit(number, *([number.statistical, number.systematic] * (number.systematic > 0.0)))
 
 
 def stated_of(number: Any) -> str:

@@ -395,7 +395,8 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
         left_out.append("force")
     return Observation(str(record.path), rig.channels, rig.sides, grid,
                        rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
-                       tuple(left_out), rig.holds, None if rig.moved is None else np.interp(grid, *rig.moved),
+                       tuple(left_out), rig.holds,
+                       None if rig.moved is None else np.interp(grid, *rig.moved),
                        ohms=rig.ohms, epoch=record.start_ns * 1e-9, skipped=skipped)
 
 

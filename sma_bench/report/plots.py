@@ -42,6 +42,7 @@ _AS_BAD = 20.0  # nats below recalibration, at which bars are cut
 PHASES = ("initial", "drive", "rest")
 _LOWEST, _HIGHEST = 0.1, 30.0  # times the noise, ends of the colour scale
 _DARK = 0.65  # of the colour scale: darker cells have white text
+_UNSURE = 100.0  # %: larger errors do not widen the axis of differences
 _MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # pictures; share of the residual that is worth one
 
 
@@ -168,7 +169,7 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
     left.errorbar(off, place, xerr=random, fmt="o", color=draw.MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
     left.axvline(0.0, color=draw.MODEL, lw=1.0, ls="--")
-    reach = 1.1 * float(np.max(np.abs(off) + whole, where=whole <= _CLEAR, initial=1.0))
+    reach = 1.1 * float(np.max(np.abs(off) + whole, where=whole <= _UNSURE, initial=1.0))
     left.set(ylim=(-0.6, len(shown) - 0.4), xlim=(-reach, reach))
     left.set_xlabel("difference from the stated value [%]")
     draw.legend_above(left)
