@@ -32,9 +32,11 @@ _SCALES = {
     **dict.fromkeys(("deflection", "range", "elongation"), ("mm", 1e3))}
 TEMPLATES = Path(__file__).with_name("templates")
 _NO_BORDERS = str.maketrans("\n|", " /")  # a text from a file must not begin a row or a cell
+_NOTHING = 1e-12  # in any SI unit: rounding errors
 _WIDTH, _NARROWEST = 96, 40  # characters of a card's line
 _LONGEST = 400  # characters of a result's repr
 _EXACT = 1e-10  # error over its number that only rounding makes
+_NEGLIGIBLE = 0.01  # part of an error that is not shown
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def scale_of(signal: str) -> tuple[str, float]:
 def in_print(value: float, signal: str) -> str:
     """An SI value of a signal with its display unit, to three digits."""
     unit, factor = scale_of(signal)
-    return f"{factor * value:.3g} {unit}".rstrip()
+    return f"{factor * value if abs(value) > _NOTHING else 0.0:.3g} {unit}".rstrip()
 
 
 def percent(share: float) -> str:
@@ -122,7 +124,8 @@ def with_error(value: float, *errors: float) -> str:
     std = math.hypot(*errors)
     if not (math.isfinite(std) and std > _EXACT * abs(value) and math.isfinite(value)):
         return f"{value:.6g}"
-    return " ± ".join([_rounded(value, std), *(_rounded(e, e) for e in errors if e > 0.0)])
+    errors = tuple(e for e in errors if e > _NEGLIGIBLE * std)
+    return " ± ".join([_rounded(value, std), *(_rounded(e, e) for e in errors)])
 
 
 def _rounded(value: float, error: float) -> str:
@@ -207,6 +210,7 @@ def _templates() -> "jinja2.Environment":
     environment.filters |= {
         "in_print": in_print, "percent": percent, "signed": signed, "quoted": shlex.quote,
         "two_errors": two_errors, "stated_of": stated_of, "changed": changed,
+        "two_digits": lambda std: _rounded(std, std) if std > 0.0 else f"{std:g}",
         "is_finite": math.isfinite, "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
         "or_empty": lambda value, form, unit="":

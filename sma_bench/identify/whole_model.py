@@ -28,6 +28,7 @@ from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.progress import Report, silent
 from sma_bench.records.record import Record
+from sma_bench.results import in_print
 
 _NUISANCES = (*priors.SHAPES, *priors.UNMODELLED)
 _UNINFORMED = 0.2  # share of information from the records: below, the prior decides
@@ -222,7 +223,8 @@ def _findings(result: Result) -> Iterator[Finding]:
         name, path, rms = signal.name, block.observation.path, float(np.std(residual))
         if (ratio := rms / signal.noise) > _FLOOR:
             yield remark("above the noise", subject=name, path=path, ratio=ratio, rms=rms,
-                         noise_floor=signal.noise)
+                         noise_floor=signal.noise, shown=in_print(rms, name),
+                         floor=in_print(signal.noise, name))
         if (chance := _chance_of_white(noise[name].whiten(residual))) < _RARE:
             yield remark("still correlated", subject=name, path=path, probability=chance)
         model = signal.value - residual

@@ -415,7 +415,7 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     if median > instruments.STRONGEST:
         shown, most = (f"{pascal / 1e6:.0f}" for pascal in (median, instruments.STRONGEST))
         sheet.remark("warning", "stress", "strongest", stress=median, shown=shown, most=most)
-    name = f"{path.parent.name}/{path.stem}"
+    name = f"{path.parent.name}/{path.stem}".lstrip("/")
     name += f"/{table.name}" if len(sheet.file.tables) > 1 else ""
     account, unit = sheet.account(columns, int(np.sum(good))), "relative" if is_relative else "1"
     return IsobaricRecord(path, name, median, unit, cycles, (*sheet.findings, *remarks), account)

@@ -14,6 +14,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePath
+from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -145,7 +146,8 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
     if not is_bag(path):
         how = ""
         if path.suffix.lower() in _TABLES:
-            how = f"; to make a bag from a table: sma-bench import {path.name} --out {path.stem}"
+            words = f"{quote(str(path))} --out {quote(path.stem)}"
+            how = f"; to make a bag from a table: sma-bench import {words}"
         raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}")
     if not path.is_dir():
         return [path], {}

@@ -70,7 +70,7 @@ def test_a_collected_page_is_self_contained_escaped_and_has_its_provenance(lab, 
     assert "default-src 'none'" in said and f"script-src 'sha256-{allowed}'" in said
     assert not re.search(r'(?:src|href)="(?!data:)|<(?:link|iframe)', raw)
     assert raw.count('src="data:image/png;base64,iVBOR') == len(PICTURES)
-    for said in (" ".join(EVIL.split()), "2.8 ± 0.007 ± 0.024 ohm", "supply_drop", "50 mA",
+    for said in (" ".join(EVIL.split()), "2.800 ± 0.0070 ± 0.024 ohm", "supply_drop", "50 mA",
                  "0.3012 ± 0.0021 ohm", "95 to 99 %", "Provenance", "lab.yaml", "resistance"):
         assert said in text, said
     # Warnings of all inputs come first.
