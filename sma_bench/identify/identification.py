@@ -346,9 +346,9 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
             rms = float(np.sqrt(np.average(residual**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
             yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
-    # Strain of isobaric loops against the model of E6 or E9, which may be more than the paper's law.
+    # Strain of isobaric loops against the model of E6 or E9, which may be more than the paper's.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
-    curves, quantity = (loops[-1].curves, "strain") if loops else ({}, "")
+    curves, quantity = loops[-1].curves if loops else {}, "strain"
     if loops and loops[-1].name == "E6":
         quantity = "strain (every branch by itself)"
     elif loops and any(name.startswith("extended") for name in loops[-1].details):
