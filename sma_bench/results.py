@@ -32,7 +32,6 @@ _SCALES = {
     **dict.fromkeys(("deflection", "range", "elongation"), ("mm", 1e3))}
 TEMPLATES = Path(__file__).with_name("templates")
 _NO_BORDERS = str.maketrans("\n|", " /")  # a text from a file must not begin a row or a cell
-_NOTHING = 1e-12  # in any SI unit: rounding errors
 _WIDTH, _NARROWEST = 96, 40  # characters of a card's line
 _LONGEST = 400  # characters of a result's repr
 _EXACT = 1e-10  # error over its number that only rounding makes
@@ -96,7 +95,7 @@ def scale_of(signal: str) -> tuple[str, float]:
 def in_print(value: float, signal: str) -> str:
     """An SI value of a signal with its display unit, to three digits."""
     unit, factor = scale_of(signal)
-    return f"{factor * value if abs(value) > _NOTHING else 0.0:.3g} {unit}".rstrip()
+    return f"{round(factor * value, 12) + 0.0:.3g} {unit}".rstrip()  # rounding errors are 0
 
 
 def percent(share: float) -> str:
@@ -209,7 +208,8 @@ def _templates() -> "jinja2.Environment":
     environment.globals["effects"] = EFFECTS
     environment.filters |= {
         "in_print": in_print, "percent": percent, "signed": signed, "quoted": shlex.quote,
-        "two_errors": two_errors, "stated_of": stated_of, "changed": changed,
+        "two_errors": two_errors, "changed": changed,
+        "stated_of": lambda number: with_unit(number.unit, number.stated.value, number.stated.std),
         "two_digits": lambda std: _rounded(std, std) if std > 0.0 else f"{std:g}",
         "is_finite": math.isfinite, "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
@@ -218,22 +218,16 @@ def _templates() -> "jinja2.Environment":
     return environment
 
 
-def with_unit(number: Any, *errors: float) -> str:
-    """Value ± error, or these errors, of an `Estimate`, with its unit."""
-    unit, factor = for_people(number.unit, number.value)
-    shown = (number.value, *(errors or [number.std]))
-    return in_unit(with_error(*(factor * x for x in shown)), unit)
+def with_unit(unit: str, value: float, *errors: float) -> str:
+    """`value ± errors unit`, for people."""
+    shown, factor = for_people(unit, value)
+    return in_unit(with_error(*(factor * number for number in (value, *errors))), shown)
 
 
 def two_errors(number: Any) -> str:
     """Value ± statistical ± systematic error of an `Estimate`, with its unit."""
-    return with_unit(number, *([number.statistical, number.systematic] * (number.systematic > 0.0)))
-
-
-def stated_of(number: Any) -> str:
-    """The stated value and error of an `Estimate`, in the unit in which it is printed itself."""
-    factor = for_people(number.unit, number.value)[1]
-    return with_error(factor * number.stated.value, factor * number.stated.std)
+    errors = (number.statistical, number.systematic) if number.systematic else (number.std,)
+    return with_unit(number.unit, number.value, *errors)
 
 
 def changed(value: float, unit: str) -> str:

@@ -93,7 +93,8 @@ def import_tables(args: SimpleNamespace) -> int:
             write_map(path, text)
             say(str(account))
             more = f" (and {len(asked) - 1} more)" if len(asked) > 1 else ""
-            raise InputError(f"{source}: unsure of {asked[0]}{more}: fill it in, then --map {path}")
+            fill = f"write the answer into {path}, then repeat with --map {path}"
+            raise InputError(f"{source}: unsure of {asked[0]}{more}; {fill}")
         assumed = [f"{name}: {remark}" for name, remark in remarks.items() if " as " in remark]
         converted = maps.convert(table, used, bag)
         read.append((source, path, table, used, text, account, assumed, *converted))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from sma_bench.border import A_LIST, AN_OBJECT, read_fields, shown
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness
-from sma_bench.results import in_unit, with_error
+from sma_bench.results import with_unit
 
 SPAN = 60.0  # s, length of a trace
 BUCKET = 0.1  # s; of each only the smallest and the largest reading are kept
@@ -211,7 +211,7 @@ def result_summary(node: str, text: str) -> dict[str, Any]:
         entry = entry if isinstance(entry, dict) else {}
         value, std, number = entry.get("value"), entry.get("std"), ""
         if isinstance(value, int | float) and isinstance(std, int | float):
-            number = shown(in_unit(with_error(value, std), str(entry.get("unit", ""))))
+            number = shown(with_unit(str(entry.get("unit", "")), value, std))
         rows.append((shown(name), number))
     lines = [shown(f"{label}: {line}" if label else line) for label, line in card[1:_MOST_ENTRIES]]
     return {"title": shown(card[0][1]), "lines": lines, "rows": rows}

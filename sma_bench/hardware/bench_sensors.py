@@ -26,6 +26,7 @@ _INDEPENDENT = 0.1  # share of a wire's steps that must be independent of its ne
 _RIDGE = 1e-6
 _OPEN, _SURELY = 0.5, 0.7  # of the expected conductance; the latter with 3 standard deviations
 _FEWEST = 3  # points of a calibration that have a scatter
+_DIGITS = 12  # decimals of a fit that are more than rounding errors
 _BLOCK = 4096  # noise values drawn at once
 
 
@@ -261,8 +262,8 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
                 uncertainty[f"sensor.{kind.quantity}.offset"] = offset_of
     named, named_std = ({f"calibration.{name}.{key}": value for key, value in numbers.items()}
                         for numbers in (found, std))
-    rest = math.sqrt(float(np.mean((calibrated - y) ** 2)))
-    return SensorFit(named, named_std, rest if rest > _rounding(y) else 0.0, uncertainty)
+    rest = round(math.sqrt(float(np.mean((calibrated - y) ** 2))), _DIGITS)
+    return SensorFit(named, named_std, rest, uncertainty)
 
 
 def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
@@ -275,17 +276,11 @@ def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
     gain = float(((x - centre) * y).sum() / spread)
     if gain == 0.0:
         raise InputError("calibration: the readings do not follow the known loads (gain 0)")
-    offset, freedom = float(y.mean() - gain * centre), len(x) - 2
+    offset, freedom = round(float(y.mean() - gain * centre), _DIGITS), len(x) - 2
     squares = float(((y - gain * x - offset) ** 2).sum())
-    scatter = math.sqrt(squares / freedom) if freedom else math.nan
-    offset, scatter = (0.0 if abs(one) < _rounding(y) else one for one in (offset, scatter))
+    scatter = round(math.sqrt(squares / freedom), _DIGITS) if freedom else math.nan
     gain_std = scatter / math.sqrt(spread)
     return gain, offset, gain_std, scatter * math.sqrt(1 / len(x) + centre**2 / spread), scatter
-
-
-def _rounding(values: Array) -> float:
-    """Upper limit of the arithmetic's rounding errors: what is smaller is 0."""
-    return 1e-12 * float(np.abs(values).max())
 
 
 def _last_digit(values: Sequence[float]) -> float:

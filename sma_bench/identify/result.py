@@ -206,8 +206,9 @@ class _Words(string.Formatter):
         return value, name
 
     def format_field(self, value: Any, spec: str) -> str:
-        is_estimate = isinstance(value, Estimate)
-        return with_unit(value) if is_estimate else str(super().format_field(value, spec))
+        if isinstance(value, Estimate):
+            return with_unit(value.unit, value.value, value.std)
+        return str(super().format_field(value, spec))
 
 
 _entries = cache(lambda: read_yaml(Path(__file__).with_name("remarks.yaml")))

@@ -186,7 +186,7 @@ class IdentificationRun:
                 notes.append(remark("only a product", subject=name, factor=factor, e=own,
                                     other=other))
         if others := {n: self.estimates[n] for n in self.another_alloy()}:
-            each = ", ".join(f"{n} {with_unit(e)}" for n, e in others.items())
+            each = ", ".join(f"{n} {with_unit(e.unit, e.value, e.std)}" for n, e in others.items())
             notes.append(remark("another alloy", shown=each, contradicted=len(others)))
 
     def another_alloy(self) -> list[str]:

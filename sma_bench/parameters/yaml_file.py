@@ -131,7 +131,7 @@ def _note(p: Parameter, source: str) -> str:
     return source if p.low is None else f"{_unit(p)} {p.low:g} to {p.high:g}; {source}"
 
 
-_UNSTATED = "Nobody stated the values behind a #: uncomment those that you know, with their group."
+_UNSTATED = "Values behind a # are defaults, not stated: uncomment yours, with their group."
 _NOTES_OF_DEFAULTS = {_note(p, p.provenance) for p in TABLE}
 _GROUPS = {f"{p.name.split('.')[0]}:" for p in TABLE}
 _OWN_LINES = {_UNSTATED, *(p.description for p in TABLE), *_GROUPS}

@@ -12,7 +12,6 @@ from sma_bench.errors import InputError
 from sma_bench.records.record import Record, samples
 
 _STEP, _MOST_STEPS = 0.02, 100_000  # s, of the grid for alignment; longer in long records
-_ROUNDING = 1e-12  # in any unit: smaller differences are shown as 0
 _SAME_DRIVE = 0.9  # least normalised correlation of voltages of the same protocol
 
 
@@ -30,8 +29,7 @@ class Difference:
 
     def cells(self) -> tuple[str, ...]:
         unit, factor = ("mm", 1e3) if self.unit == "m" else (self.unit, 1.0)
-        rms, worst, share = (0.0 if abs(number) < _ROUNDING else number
-                             for number in (self.rms, self.worst, self.share))
+        rms, worst, share = (round(n, 12) + 0.0 for n in (self.rms, self.worst, self.share))
         return (self.signal, self.record, f"{factor * rms:.3g} {unit}",
                 f"{factor * worst:+.3g} {unit}", f"{self.at:.2f} s", f"{100.0 * share:.2g} %")
 

@@ -9,12 +9,15 @@ import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 import yaml
 
 from sma_bench.cli import main
+from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.records import read_record
+from sma_bench.results import card_text, json_text
 
 pytestmark = pytest.mark.skipif(find_spec("rclpy") is None, reason="rclpy is not installed")
 
@@ -87,3 +90,15 @@ def until(log, words):
     while words not in log.read_text():
         assert time.monotonic() < end, log.read_text()
         time.sleep(0.1)
+
+
+def test_an_answer_that_is_a_result_is_shown_as_its_card(monkeypatch, capsys, tmp_path):
+    shown = yaml.safe_load((ROOT / "test" / "report" / "results.yaml").read_text())
+    result = diagnosis_from(shown["diagnosis"], "gap")
+    client = MagicMock()
+    client.return_value.__enter__.return_value.trigger.return_value = json_text(result.to_json())
+    client.return_value.__exit__.return_value = False
+    monkeypatch.setattr("sma_bench.ros.bench_client.BenchClient", client)
+    assert main(["call", "diagnosis/diagnose", "--json", str(tmp_path / "gap.json")]) == 0
+    assert capsys.readouterr().out.strip() == card_text(result, 100)
+    assert json.loads((tmp_path / "gap.json").read_text())["answer"]["verdict"] == result.verdict

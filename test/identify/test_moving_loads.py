@@ -14,11 +14,12 @@ import sma_bench
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.estimation.laws import band_of
+from sma_bench.estimation.observation import observe
 from sma_bench.identify import identify
 from sma_bench.identify.result import identification_from
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameter import TRANSITIONS
-from sma_bench.records.record import first_order_lag
+from sma_bench.records.record import Signal, first_order_lag
 from sma_bench.report.experiment_figures import bench_fit_pictures
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
 
@@ -84,6 +85,14 @@ def test_friction_of_a_nonlinear_spring_is_separated_from_the_wires_own_hysteres
         assert abs(estimate.value - truth[name]) < 3.0 * estimate.std < far
     assert found.estimates["load.friction"].informed > 0.9
     assert missed(found.parameters, truth) < 0.003
+
+
+def test_a_force_of_opposing_wires_is_named_as_not_compared():
+    lab = moving_lab("antagonist", COSINE)
+    record = recorded(lab, "triangle", 1)
+    time = record["deflection"].time
+    record.signals["force"] = Signal("force", "N", time, np.ones_like(time))
+    assert observe(record, lab).left_out == ("force",)
 
 
 def test_force_under_an_imposed_motion_identifies_the_wire_and_predicts_another_motion():
