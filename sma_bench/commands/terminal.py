@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Widths in characters. A table that does not fit is folded, not cut.
 _FOR_FILES = 100  # of a table that does not go to a terminal
-_LEAST, _NAME_WHOLE = 20, 40  # of a folded text at least; of what stays whole, at most
+_LEAST, _NAME_WHOLE = 12, 40  # of a folded text at least; of a text that stays whole, at most
 _BETWEEN = 2  # of the space between columns
 _SEVERITIES = {"info": "green", "warning": "yellow", "error": "red"}
 # Progress goes to standard error: on a terminal one line, shown after FIRST_SHOWN s and rewritten
@@ -76,11 +76,10 @@ def print_table(table: "Table") -> None:
     rows = [[printable(cell.replace("; ", "\n"), "\n") for cell in row] for row in table.rows]
     columns = [*zip(table.header, *rows, strict=True)]
     full = [max(cell_len(line) for cell in own for line in cell.split("\n")) for own in columns]
-    # What stays whole: items of a column of lists, words of others.
-    words = [max(cell_len(word) for cell in own
-                 for word in (cell.split("\n" if any("\n" in c for c in own) else None) or [""]))
+    words = [max((cell_len(word) for cell in own for word in cell.split()), default=0)
              for own in columns]
-    least = [word if k in table.numeric else min(max(word, min(whole, _LEAST)), _NAME_WHOLE)
+    least = [word if k in table.numeric else whole if whole <= _NAME_WHOLE else
+             min(max(word, _LEAST), _NAME_WHOLE)
              for k, (word, whole) in enumerate(zip(words, full, strict=True))]
     parts = [[0]]
     for k in range(1, len(full)):
@@ -88,14 +87,12 @@ def print_table(table: "Table") -> None:
         if width > console.width and len(parts[-1]) > 1:
             parts.append([0])
         parts[-1].append(k)
-    for number, part in enumerate(parts):
-        if number:
-            console.print()
+    for part in parts:
+        # The columns that need the least space to be shown unfolded get theirs first.
         space = console.width - sum(least[k] + _BETWEEN for k in part) + _BETWEEN
-        shown = Shown(box=None, pad_edge=False)
-        widths = dict[int, int]()
-        for n, k in enumerate(sorted(part, key=lambda k: full[k] - least[k])):
-            widths[k] = least[k] + max(min(full[k] - least[k], space // (len(part) - n)), 0)
+        shown, widths = Shown(box=None, pad_edge=False), dict[int, int]()
+        for k in sorted(part, key=lambda k: full[k] - least[k]):
+            widths[k] = least[k] + max(min(full[k] - least[k], space), 0)
             space -= widths[k] - least[k]
         for k in part:
             shown.add_column(Text(table.header[k]), width=widths[k], overflow="fold",
@@ -103,7 +100,7 @@ def print_table(table: "Table") -> None:
         for row in rows:
             if len(parts) == 1 or any(row[k] for k in part[1:]):
                 shown.add_row(*(Text(row[k]) for k in part))
-        console.print(shown)
+        console.print(shown, *([] if part is parts[-1] else [""]), sep="\n")
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
