@@ -376,7 +376,7 @@ def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
         more = f"; above {_TOLERANCE:.0%}" if fails else ""
         if fails and fit.law == "contract" and len(errors) > 1:
             more += (": a constant eps_L and constant C_A, C_M do not suffice for this material, "
-                     "and the identified parameters are those of this law")
+                     "and a simulation with the identified parameters is as far off")
         law = "the paper's" if fit.law == "contract" else fit.law
         yield remark("fit error", "warning" if fails else "info", law=law, more=more,
                      numbers={f"{s / 1e6:.0f} MPa": e for s, e in errors.items()},
