@@ -119,7 +119,7 @@ def run_linearise(args: SimpleNamespace) -> int:
             "poles": np.linalg.eigvals(space.A).real.tolist(),
             "deflection_per_volt": dict(zip(channels, gains.tolist(), strict=True))})
     wires = [(channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
-              f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
+              f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6 + 0.0:.4g}",
               f"{1e3 * gains[k]:.4g}") for k, channel in enumerate(channels)]
     rows = [(c.name, c.equation, f"{c.printed:.5g}", f"{c.corrected:.5g}", c.unit, c.remark)
             for c in coefficients]
