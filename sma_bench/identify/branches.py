@@ -141,14 +141,19 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
     lags = abs(strain[furthest] - strain[0]) > _LAG_STRAIN * span
     first = min(furthest, len(t) // 4) if lags else 0
     t, strain = t[first:], strain[first:]
+    # Lines through the first `count` points, a row for each count.
+    count, place = np.arange(_SHORTEST_LINE, len(t) - _SHORTEST_LINE)[:, None], np.arange(len(t))
+    used = place < count
+    x, y = (used * (v - (used @ v)[:, None] / count) for v in (t, strain))
+    residual = y - x * np.sum(x * y, axis=1, keepdims=True) / np.sum(x**2, axis=1, keepdims=True)
+    # A run of points on one side shows curvature long before the largest residual does.
+    last = used & (place >= count - np.maximum(count // 5, 3))
+    run, largest = abs(np.mean(residual, axis=1, where=last)), np.max(abs(residual), axis=1)
     longest = _SHORTEST_LINE
-    for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
-        residual = strain[:count] - straight_line(t[:count], strain[:count])(t[:count])
-        # A run of points on one side shows curvature long before the largest residual does.
-        run = abs(float(np.mean(residual[-max(count // 5, 3) :])))
-        if run < 0.5 * tolerance and np.max(np.abs(residual)) < 2.0 * tolerance:
-            longest = count
-        elif count > 3 * longest:
+    for n, fits in enumerate((run < 0.5 * tolerance) & (largest < 2.0 * tolerance), longest):
+        if fits:
+            longest = n
+        elif n > 3 * longest:
             break
     line = straight_line(t[:longest], strain[:longest])
     kelvins, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))

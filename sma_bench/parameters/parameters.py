@@ -213,6 +213,11 @@ class Parameters(Mapping[str, Value]):
         except KeyError:
             raise InputError(unknown_parameter_message(name, BY_NAME)) from None
 
+    @property
+    def plain(self) -> Mapping[str, Any]:
+        """The values as a plain dictionary, in which many names are looked up fast."""
+        return self._values
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._values)
 

@@ -1,5 +1,6 @@
 """The load that the wires of each side pull against: the rig's own, or an experiment's."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Self
@@ -125,6 +126,8 @@ def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
 
 def per_side(name: str, value: Any, sides: int) -> Array:
     """(s,) array from one value or s; InputError: another number of values, or one not finite."""
+    if isinstance(value, float) and math.isfinite(value):
+        return np.full(sides, value)
     array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
         raise InputError(f"{name} has shape {array.shape}, expected one or {sides} values")

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -130,17 +131,19 @@ for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
             _NUMBERS[_row] += [(_names[column], _effect.named(n).name) for n, column in _own]
         for _mark in filter(_names.__contains__, _effect.marks):
             _MARKS[_row] += [(_names[_mark], p.name, _effect.row == _row) for p in _effect.switches]
-_PLACES = [column for column, _ in _NUMBERS["wire"]]
+# A fit makes thousands of rows: all of a row's numbers and switches are looked up in one go.
+_PLACES = {row: [column for column, _ in pairs] for row, pairs in _NUMBERS.items()}
+_VALUES = {row: itemgetter(*(name for _, name in pairs)) for row, pairs in _NUMBERS.items()}
+_SWITCHES = {row: itemgetter(*(name for _, name, _ in marks)) for row, marks in _MARKS.items()}
+_MARKED = {row: np.array([mark for mark, _, _ in marks]) for row, marks in _MARKS.items()}
+_OWN = {row: np.array([own for _, _, own in marks]) for row, marks in _MARKS.items()}
 
 
 def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     """(w, WIRE_COLUMNS) constants of every wire; the states are 0, except ORIENTED."""
-    side = side_of_channels(p)
-    row = np.zeros(at.WIRE_COLUMNS)
-    row[_PLACES] = [p[number] for _, number in _NUMBERS["wire"]]
-    for mark, switch, _ in _MARKS["wire"]:
-        if p[switch] != 0.0:
-            row[mark] = 1.0
+    side, row = side_of_channels(p), np.zeros(at.WIRE_COLUMNS)
+    row[_PLACES["wire"]] = _VALUES["wire"](p.plain)
+    row[_MARKED["wire"][np.not_equal(_SWITCHES["wire"](p.plain), 0.0)]] = 1.0
     row[at.LAW] = LAWS.index(p["wire.law"])  # 0 is the contract's cosine
     if p["wire.law"] == "normal":
         plays, deviation = normal.plays(p)
@@ -187,30 +190,27 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
 
 def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     """(s, SIDE_COLUMNS) constants of every side; states are 0."""
-    count = len(side_names(parameters))
-    sides = np.zeros((count, at.SIDE_COLUMNS))
-    sides[:, at.PRESCRIBED] = boundary.contraction is not None
-    sides[:, at.COUPLED] = boundary.coupled
-    stiffness, load, sides[:, at.FRICTION] = (boundary.per_side(name, count)
-                                              for name in ("stiffness", "load", "friction"))
-    sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
-    sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
-    sides[:, at.STIFFENING] = boundary.stiffening
+    row, count = np.zeros(at.SIDE_COLUMNS), len(side_names(parameters))
+    row[_PLACES["side"]] = _VALUES["side"](parameters.plain)
+    on = np.not_equal(_SWITCHES["side"](parameters.plain), 0.0)
+    row[_MARKED["side"][on]] = 1.0
+    row[at.ENGAGEMENT] = min(row[at.ENGAGEMENT] + row[at.BUCKLED], 1.0)
+    row[at.GAP] *= row[at.BUCKLED] > 0.0
+    row[at.SLACK] += row[at.RUBBING_SLACK]
+    row[at.RUBBING] *= row[at.RUBBING_SLACK] > 0.0
+    stiffness, load, friction = (boundary.per_side(name, count)
+                                 for name in ("stiffness", "load", "friction"))
     # Only a side that pulls against something elastic can relax or be slack.
     elastic = boundary.contraction is None and not boundary.coupled
-    bends = (stiffness > 0.0) & elastic
-    for column, number in _NUMBERS["side"]:
-        if parameters[number]:
-            sides[bends, column] = parameters[number]
-    for mark, switch, own in _MARKS["side"]:
-        if parameters[switch] != 0.0:
-            sides[bends if own else slice(None), mark] = 1.0
-    sides[:, at.ENGAGEMENT] = np.minimum(sides[:, at.ENGAGEMENT] + sides[:, at.BUCKLED], 1.0)
-    sides[:, at.GAP] *= sides[:, at.BUCKLED] > 0.0
-    sides[:, at.SLACK] += sides[:, at.RUBBING_SLACK]
-    for column in (at.SLACK, at.RUBBING_SLACK, at.SOFT_SLACK):
+    sides = np.outer((stiffness > 0.0) & elastic, row)
+    sides[:, _MARKED["side"][on & ~_OWN["side"]]] = 1.0
+    for column in (at.SLACK, at.RUBBING_SLACK, at.SOFT_SLACK, at.RUBBING):
         sides[load > 0.0, column] = 0.0  # the load pulls the wires straight
-    sides[:, at.RUBBING] *= sides[:, at.RUBBING_SLACK] > 0.0
+    sides[:, at.PRESCRIBED] = boundary.contraction is not None
+    sides[:, at.COUPLED], sides[:, at.STIFFENING] = boundary.coupled, boundary.stiffening
+    sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
+    sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
+    sides[:, at.FRICTION] += friction  # or that of slack
     return sides
 
 

@@ -19,7 +19,7 @@ from sma_bench.physics.boundary import Boundary
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.deflection_drift import zero
-from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible, wire_rows
+from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible
 
 
 @dataclass(eq=False, repr=False)
@@ -34,8 +34,7 @@ class Readings:
     `sag`: (..., w) V, voltage drop of each channel's battery; `clock`: s since the bench's start.
     """
 
-    parameters: Parameters
-    boundary: Boundary
+    kernel: Kernel
     temperature: Array
     martensite_fraction: Array
     stress: Array
@@ -45,6 +44,14 @@ class Readings:
     mount: Array
     sag: Array
     clock: ClassVar[Any]
+
+    @property
+    def parameters(self) -> Parameters:
+        return self.kernel.parameters
+
+    @property
+    def boundary(self) -> Boundary:
+        return self.kernel.boundary
 
     @property
     def deflection(self) -> Any:
@@ -72,8 +79,8 @@ class Readings:
         commanded: the mean of a duty; eq. (3) with all effects off."""
         states = voltage, self.temperature, self.martensite_fraction, self.sag
         columns = [np.ascontiguousarray(np.atleast_2d(state), dtype=float) for state in states]
-        found, wires = np.empty_like(columns[0]), wire_rows(self.parameters, self.boundary)
-        core.currents(wires, *columns, found)
+        found = np.empty_like(columns[0])
+        core.currents(self.kernel.rows[0].copy(), *columns, found)
         return self.parameters["wire.count"] * found.reshape(np.shape(voltage))
 
 
@@ -166,7 +173,7 @@ def _simulated(kernel: Kernel, time: Array, voltage: Array, recorded: tuple[Arra
                final: State, started: float) -> Simulation:
     history, strain = recorded
     rest: Any = (*history[:3], *strain, *history[3:], time, voltage, final, started)
-    return Simulation(kernel.parameters, kernel.boundary, *rest)
+    return Simulation(kernel, *rest)
 
 
 def run_once() -> None:
@@ -195,11 +202,11 @@ class Bench(Readings):
     def __init__(self, parameters: Parameters, *, initial: State | None = None,
                  boundary: Boundary | None = None) -> None:
         """A bench at rest, or in the state `initial`; arguments as for `simulate`."""
-        self._kernel = Kernel(parameters, boundary)
+        self.kernel = Kernel(parameters, boundary)
         if initial is None:
-            initial = at_rest(parameters, self._kernel.boundary)
+            initial = at_rest(parameters, self.kernel.boundary)
             require_possible(initial, parameters)
-        self._memory = self._kernel.memory(initial)
+        self._memory = self.kernel.memory(initial)
         self._settle()
 
     def advance(self, voltage: ArrayLike, dt: float) -> State:
@@ -207,8 +214,8 @@ class Bench(Readings):
         dt not above 0."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
-        volts = _checked("voltage", np.asarray(voltage, float)[np.newaxis], (1, self._kernel.wires))
-        self._kernel.run(np.array([0.0, dt]), np.vstack([volts, volts]), self._memory)
+        volts = _checked("voltage", np.asarray(voltage, float)[np.newaxis], (1, self.kernel.wires))
+        self.kernel.run(np.array([0.0, dt]), np.vstack([volts, volts]), self._memory)
         return self._settle()
 
     def follow(self, time: ArrayLike, voltage: ArrayLike,
@@ -217,9 +224,9 @@ class Bench(Readings):
         seconds, volts = np.asarray(time, dtype=float), np.asarray(voltage, dtype=float)
         if seconds.ndim != 1 or seconds.size == 0:
             raise InputError(f"simulation: time has shape {seconds.shape}, expected (n,)")
-        if volts.ndim == 1 and self._kernel.wires == 1:
+        if volts.ndim == 1 and self.kernel.wires == 1:
             volts = volts[:, np.newaxis]
-        volts = _checked("voltage", volts, (seconds.size, self._kernel.wires))
+        volts = _checked("voltage", volts, (seconds.size, self.kernel.wires))
         seconds = _checked("time", seconds, seconds.shape)
         if not np.all(seconds[1:] > seconds[:-1]):
             k = int(np.argmax(seconds[1:] <= seconds[:-1]))
@@ -232,14 +239,13 @@ class Bench(Readings):
                 raise InputError(f"simulation: {found}, expected displacement")
             moved = _checked("elongation", elongation, seconds.shape)
             contraction = -moved / wire_length(self.parameters)
-        recorded = self._kernel.run(seconds, volts, self._memory, contraction)
-        return _simulated(self._kernel, seconds, volts, recorded, self._settle(), started)
+        recorded = self.kernel.run(seconds, volts, self._memory, contraction)
+        return _simulated(self.kernel, seconds, volts, recorded, self._settle(), started)
 
     def pull_against(self, boundary: Boundary) -> None:
         """Continue under another load."""
-        self._kernel = Kernel(self.parameters, boundary)
-        self._memory = self._kernel.memory(self.state)
-        self.boundary = boundary
+        self.kernel = Kernel(self.parameters, boundary)
+        self._memory = self.kernel.memory(self.state)
 
     @property
     def ambient_temperature(self) -> float:
@@ -247,12 +253,11 @@ class Bench(Readings):
         return float(air_temperature(self._memory[0], 0))
 
     def _settle(self) -> State:
-        self.state = now = self._kernel.state(self._memory)
+        self.state = now = self.kernel.state(self._memory)
         wires, sides = self._memory
-        super().__init__(self._kernel.parameters, self._kernel.boundary, now.temperature,
-                         now.martensite_fraction, now.stress, now.contraction,
-                         sides[:, at.BENDING].copy(), wires[:, at.READING].copy(),
-                         wires[:, at.MOUNT].copy(), wires[:, at.SAG].copy())
+        super().__init__(self.kernel, now.temperature, now.martensite_fraction, now.stress,
+                         now.contraction, sides[:, at.BENDING].copy(),
+                         *(wires[:, k].copy() for k in (at.READING, at.MOUNT, at.SAG)))
         self.clock = now.clock  # type: ignore[misc]
         return now
 
