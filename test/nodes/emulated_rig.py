@@ -157,7 +157,7 @@ class BridgedRig(Commander):
 @contextmanager
 def bridged_rig(bench, uno, camera=False, **settings):
     """The wire rig behind a serial_bridge, not enabled yet."""
-    # The emulator's thread must run between two slices, every half millisecond.
+    # The emulator's thread must run between two slices, every millisecond.
     sys.setswitchinterval(1e-4)
     with emulated_bench(Parameters.defaults(), uno) as hardware:
         rig = BridgedRig(bench, hardware, camera, **settings)

@@ -34,7 +34,7 @@ class Plant:
         self._wires = len(parameters["bench.channels"])
         # The simulation gets the rms voltage of the outputs, whatever the drive.
         self.bench = Bench(parameters.replace({"bench.drive": "voltage"}))
-        self._squares, self._time = np.array(uno.electrics.square_time), uno.time
+        self._squares, self.time = np.array(uno.electrics.square_time), uno.time
         resistance = parameters["wire.resistance"] / parameters["wire.count"]
         uno.electrics.resistance[:] = [
             resistance if channel < self._wires else math.inf for channel in range(CHANNELS)
@@ -43,10 +43,10 @@ class Plant:
 
     def advance(self) -> None:
         """Advance the plant by the time that the Uno has just run."""
-        dt = self._uno.time - self._time
+        dt = self._uno.time - self.time
         if dt > 0.0:
             before, self._squares = self._squares, np.array(self._uno.electrics.square_time)
-            self._time = self._uno.time
+            self.time = self._uno.time
             self.bench.advance(np.sqrt((self._squares - before) / dt)[: self._wires], dt)
             self._show_deflection()
 
@@ -85,7 +85,8 @@ class PinWatch:
         return self._uno.time - self.last_on
 
 
-SLICE = 5e-4
+SLICE = 1e-3  # s, as often as a host asks a USB device
+_PLANT_STEP = 5e-3  # s, far below the time constants of wires and sensors
 _PRIORITY = 1
 # To catch up a delay, the device's time runs at most this factor faster than real time: its
 # command timeout runs on that time and must not expire although the host was never silent.
@@ -206,7 +207,8 @@ class EmulatedBench:
 
     def each_slice(self) -> None:
         """Called after each slice of the Uno's time."""
-        self.plant.advance()
+        if self.uno.time - self.plant.time >= _PLANT_STEP:
+            self.plant.advance()
         self.pins.look()
 
     @property

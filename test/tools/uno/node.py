@@ -28,7 +28,7 @@ from sma_bench.ros.node import READINGS, OverridableNode, start_ros
 from uno.emulated_bench import emulated_bench
 
 PERIOD = 0.04
-# s; the emulator's thread needs its turn every half a millisecond.
+# s; the emulator's thread needs its turn every millisecond.
 SWITCH = 1e-4
 
 
