@@ -40,7 +40,7 @@ _NEARLY_CERTAIN = 0.8  # probability of a candidate
 # The Uno's own range is 5 V: over 10 V, one of its 1024 steps heats as much as a small effect.
 _INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
 # Hz of commands and readings: messages cost more CPU time than the simulation. c_p has its small
-# error only with 20 Hz; a diagnosis is as certain with 10 Hz.
+# error only with 20 Hz; a diagnosis is hardly less certain with 10 Hz.
 _FAST, _SLOW = 20.0, 10.0
 _PROTOCOLS = share_directory() / "config" / "protocols"
 _PATIENCE = 600.0  # s: the service may have to wait for the compiler
