@@ -35,7 +35,7 @@ _NO_BORDERS = str.maketrans("\n|", " /")  # a text from a file must not begin a 
 _WIDTH, _NARROWEST = 96, 40  # characters of a card's line
 _LONGEST = 400  # characters of a result's repr
 _EXACT = 1e-10  # error over its number that only rounding makes
-_NEGLIGIBLE = 0.01  # part of an error that is not shown
+_NEGLIGIBLE = 0.01  # part of an error that is shown as 0
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ def with_error(value: float, *errors: float) -> str:
     std = math.hypot(*errors)
     if not (math.isfinite(std) and std > _EXACT * abs(value) and math.isfinite(value)):
         return f"{value:.6g}"
-    errors = tuple(e for e in errors if e > _NEGLIGIBLE * std)
-    return " ± ".join([_rounded(value, std), *(_rounded(e, e) for e in errors)])
+    shown = (_rounded(e, e if e > _NEGLIGIBLE * std else std) for e in errors)
+    return " ± ".join([_rounded(value, std), *shown])
 
 
 def _rounded(value: float, error: float) -> str:

@@ -98,7 +98,7 @@ def test_numbers_are_shown_with_both_errors_and_the_stated_value():
         (4.1, 9.5e-16, "4.1"), (1e-7, 0.02, "0 ± 0.020"),
     ):  # fmt: skip
         assert results.with_error(value, std) == text
-    assert results.two_errors(Estimate(337.1, 3.0, "K", systematic=5e-8)) == "337.1 ± 3.0 K"
+    assert results.two_errors(Estimate(337.1, 3.0, "K", systematic=5e-8)) == "337.1 ± 3.0 ± 0 K"
     modulus = Estimate(57.61e9, 1.6e9, "Pa")
     assert results.two_errors(modulus) == "57.6 ± 1.6 GPa"
     assert results.with_unit("Pa", 55.4e9, 0.5e9) == "55.40 ± 0.50 GPa"
