@@ -240,10 +240,10 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
         raise sheet.refusal("mass", mass=mass)
     baseline, program, parts = np.zeros(len(time)), temperature, list[tuple[int, float, slice]]()
     if blocks:
-        for column in sheet.table.columns:
-            if column.title in ("Baseline", "Program Temperature"):
-                columns[column.title.lower()] = column, "temperature"
-        baseline = sheet.values(columns["baseline"][0], "heat flow")
+        roles = {"Baseline": "heat flow", "Program Temperature": "temperature"}
+        columns |= {c.title.lower(): (c, roles[c.title]) for c in sheet.table.columns
+                    if c.title in roles}
+        baseline = sheet.values(*columns["baseline"])
         program = sheet.values(*columns["program temperature"])
         ends = [row for row, _ in blocks[1:]] + [len(time)]
         for (first, match), last in zip(blocks, ends, strict=True):

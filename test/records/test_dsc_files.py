@@ -78,6 +78,8 @@ def test_units_are_si_and_the_sign_of_heat_flow_is_found(write):
         assert getattr(heating, name) == pytest.approx(values)
     assert run.specific_heat_flow(heating) == pytest.approx([1900, 2000])
     assert run.endothermic_up is True and run.findings == ()
+    (baseline,) = (name for name in run.account.used if "Baseline" in name)
+    assert run.account.used[baseline] == "heat flow"
     mettler = PYRIS.replace("Sample Weight:\t10.000 mg", "Curve Name:\nNiTi wire, 10.000 mg")
     assert open_record(write(mettler)).mass == pytest.approx(10e-6)
     # If the method is missing, the program temperature gives the rates.
