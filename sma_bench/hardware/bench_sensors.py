@@ -308,8 +308,9 @@ class Instrument:
             while len(self._drawn) < len(values):  # values are taken from the end
                 block = self._noise * self._random.standard_normal(_BLOCK)
                 self._drawn = np.concatenate([block, self._drawn])
-            self._drawn, taken = np.split(self._drawn, [len(self._drawn) - len(values)])
-            values = values + taken[::-1]
+            left = len(self._drawn) - len(values)
+            values = values + self._drawn[left:][::-1]
+            self._drawn = self._drawn[:left]
         if self._resolution > 0.0:
             values = np.rint(values / self._resolution) * self._resolution + 0.0  # no -0.0
         return values
