@@ -32,13 +32,14 @@ COSINE = {"wire.law": "cosine"}  # stated, so that no others are fitted
 RISES = {"effect.phase_dependent_resistance.austenite_change": -0.1}
 
 
-def recorded(truth, shape, seed, *keep, period=35.0, top=None):
-    drive = strokes(truth, shape, period, 110.0, *([top] if top else []))
+def recorded(truth, shape, seed, *keep, period=35.0, top=5.5, duration=75.0):
+    drive = strokes(truth, shape, period, duration, top)
     return moving_record(truth, drive, seed, keep or ("voltage", "elongation", "deflection"))
 
 
-def pair(truth):
-    return [recorded(truth, shape, seed) for seed, shape in enumerate(("triangle", "step"))]
+def pair(truth, **length):
+    shapes = enumerate(("triangle", "step"))
+    return [recorded(truth, shape, seed, **length) for seed, shape in shapes]
 
 
 def drawn(believed, seed=4):
@@ -148,34 +149,29 @@ def test_a_wire_with_hardly_any_stated_parameters_is_identified_and_predicts_ano
         "wire.heat_transfer_coefficient": 150.0})  # fmt: skip
     names = ("wire.length", "wire.diameter", "wire.resistance", "environment.ambient_temperature")
     names += ("load.kind", "load.stiffness", "load.preload")
-    found = identify(pair(truth), Parameters({name: truth[name] for name in names}, {}))
+    short = pair(truth, period=25.0, duration=55.0)
+    found = identify(short, Parameters({name: truth[name] for name in names}, {}))
     assert found.law.name == "cosine"
     assert missed(found.parameters, truth) < 0.01
 
 
-def test_a_lag_of_the_thermometer_does_not_change_the_wires_parameters():
-    believed = moving_lab("beam")
-    truth = drawn(believed)
-    random, seen = np.random.default_rng(8), []
-    for shape in ("triangle", "step"):
-        record = recorded(truth, shape, 3, "voltage", "deflection", "temperature")
-        hot = record["wire.temperature"]
-        read = first_order_lag(hot.values, np.exp(-0.04 / 1.2), hot.values[0])  # of 1.2 s
-        lagging = replace(hot, values=read + 0.1 * random.standard_normal(len(read)))
-        seen.append(replace(record, signals={**record.signals, hot.name: lagging}))
-    found = identify(seen, believed)
-    assert abs(found.estimates["sensor.temperature.lag"].value - 1.2) < 0.02
-    for name in ("wire.specific_heat", "wire.austenite_finish_temperature"):
-        assert abs(found.estimates[name].value - truth[name]) < 3.0 * found.estimates[name].std
-    assert {one.verdict for one in found.fit.values()} == {"ok"}
-
-
-def lagging(record, seconds, seed=8):
+def lagging(record, seconds, seed):
     """The record as a thermometer with this lag, and a noise of 0.1 K, reads it."""
     hot, random = record["wire.temperature"], np.random.default_rng(seed)
     read = first_order_lag(hot.values, np.exp(-0.04 / seconds), hot.values[0])
     hot = replace(hot, values=read + 0.1 * random.standard_normal(len(read)))
     return replace(record, signals={**record.signals, hot.name: hot})
+
+
+def test_a_lag_of_the_thermometer_does_not_change_the_wires_parameters():
+    believed = moving_lab("beam")
+    truth, seen = drawn(believed), ("voltage", "deflection", "temperature")
+    found = identify([lagging(recorded(truth, shape, 3, *seen), 1.2, seed)
+                      for seed, shape in enumerate(("triangle", "step"))], believed)
+    assert abs(found.estimates["sensor.temperature.lag"].value - 1.2) < 0.02
+    for name in ("wire.specific_heat", "wire.austenite_finish_temperature"):
+        assert abs(found.estimates[name].value - truth[name]) < 3.0 * found.estimates[name].std
+    assert {one.verdict for one in found.fit.values()} == {"ok"}
 
 
 def test_a_lag_that_nobody_stated_does_not_decide_for_another_law():
@@ -184,7 +180,7 @@ def test_a_lag_that_nobody_stated_does_not_decide_for_another_law():
     believed = moving_lab("force", more=slow)
     record = recorded(drawn(believed), "triangle", 3, "voltage", "current", "temperature",
                       "elongation", top=2.6)
-    found = identify([lagging(record, 1.5)], believed)
+    found = identify([lagging(record, 1.5, 8)], believed)
     assert found.law.name == "cosine"
     assert abs(found.estimates["sensor.temperature.lag"].value - 1.5) < 0.05
 
@@ -221,9 +217,9 @@ def predicted(found, unseen, share=0.9):
     return band, np.interp(band.time, moved.time, moved.values)
 
 
-@pytest.fixture(scope="module", params=["logistic", "normal"])
-def weighed(request):
-    truth = bench(request.param, {"wire.resistance": 2.75, "effect.latent_heat.heat": 8e3})
+@pytest.fixture(scope="module")
+def weighed():
+    truth = bench("normal", {"wire.resistance": 2.75, "effect.latent_heat.heat": 8e3})
     records = [run(truth, shape, seed) for seed, shape in enumerate(("triangle", "step"))]
     known = bench()
     stated = {n: known[n] for n in known.given - {"wire.law"}}
@@ -292,8 +288,8 @@ def test_runs_that_do_not_repeat_are_reported_and_widen_the_band():
         band = found.predict(run(truth, "step", 8))["deflection"]
         return records, repeats, np.mean(band.high - band.low)
 
-    records, restless, wide = differing((0.0, 2.5, -2.5, 1.5))
-    _, quiet, narrow = differing((0.0, 0.0, 0.0, 0.0))
+    records, restless, wide = differing((0.0, 2.5, -2.5))
+    _, quiet, narrow = differing((0.0, 0.0, 0.0))
     moved = [record["elongation"].values for record in records]
     pairs = [(a, b) for k, a in enumerate(moved) for b in moved[:k]]
     measured = np.sqrt(np.mean([np.mean((a - b) ** 2) for a, b in pairs])) / np.ptp(moved[0])
