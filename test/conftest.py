@@ -8,6 +8,7 @@ import random
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +33,9 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 os.environ.pop("COLUMNS", None)
 # Must be set before numpy is imported, as the command line does: one BLAS thread.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# As ./bench does: without byte code, each process would compile the package.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Tests end processes by SIGHUP and SIGINT; under nohup or a shell's `&` these would be ignored.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -79,7 +79,7 @@ def test_the_node_waits_for_confirmation_goes_on_after_kill_9_and_stops_at_0_v(b
         bench.until(lambda: runs[-1].data.startswith(f"aborted: {reason}"))
         bench.until(lambda: power[-1].voltage < 0.1)
 
-    bench.start("simulator", lab, speed=8.0, **RATES)
+    bench.start("simulator", lab, speed=4.0, **RATES)
     protocol = {"protocol": "composite_triangle", "protocol_root": tmp_path}
     bench.start("experiment", lab, use_sim_time=True, require_recorder=True, **protocol)
     bench.until(lambda: runs and power)
