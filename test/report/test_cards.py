@@ -79,8 +79,8 @@ def test_every_verdict_has_its_own_title_and_a_next_step_that_fits_the_command(v
 
 def test_numbers_are_shown_with_both_errors_and_the_stated_value():
     resistance, ambient, *_ = results.card(identified(), numbers=True).rows
-    assert resistance == (WIRE, "2.800 ± 0.0070 ± 0.024 ohm, 98 % from the records, +3.7 % (+3.7 std) "
-                                "off 2.700 ± 0.010 ohm, by E1, warned")
+    own, off = "2.800 ± 0.0070 ± 0.024 ohm, 98 % from the records", "+3.7 % (+3.7 std)"
+    assert resistance == (WIRE, f"{own}, {off} off 2.700 ± 0.010 ohm, by E1, warned")
     assert ambient == (ROOM, "296.40 ± 0.50 K")
     found = rows(identified())
     assert WIRE in found["off"][0] and "-0.70" in found["linked"][0]
