@@ -136,7 +136,9 @@ def shared_data():
 
 @pytest.fixture(scope="session")
 def planted_diagnosis(tmp_path_factory):
-    """Diagnosis of a bench whose sides heat each other: all signals, one hold-out record."""
+    """Diagnosis of a bench whose sides heat each other: all signals, one hold-out record. The
+    first worker that needs it makes it, the others read its file."""
+    import joblib
     from planted import believed, few_effects, planted_pair
 
     from sma_bench import compiled
@@ -145,10 +147,16 @@ def planted_diagnosis(tmp_path_factory):
     if compiled.numba is None:
         pytest.skip("without numba a diagnosis takes minutes")
 
-    effect = {"effect.side_heat_coupling.conductance": 0.002}
-    seen, unseen = planted_pair(tmp_path_factory.mktemp("planted"), effect)
-    with few_effects():
-        return diagnose(seen, believed(), unseen)
+    folder = tmp_path_factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+    with (folder / "planted.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (made := folder / "planted_diagnosis").exists():
+            effect = {"effect.side_heat_coupling.conductance": 0.002}
+            seen, unseen = planted_pair(tmp_path_factory.mktemp("planted"), effect)
+            with few_effects():
+                joblib.dump(diagnose(seen, believed(), unseen), made)
+        return joblib.load(made)
 
 
 @pytest.fixture
