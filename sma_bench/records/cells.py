@@ -100,7 +100,7 @@ def plain_title(title: str) -> str:
 
 
 _PARTS = [t for row in WORDS["titles"] for k in ("parts", "words") for t in row.get(k, ())]
-_KNOWN = re.compile("|".join(re.escape(t.strip()) for t in _PARTS if len(t) > 2 or t > "~"))
+_KNOWN = re.compile("|".join(re.escape(t.strip()) for t in _PARTS if len(t) > 1 + t.isascii()))
 _NEUTRAL = {word for key in ("neutral", "room", "wire", "supplies") for word in WORDS[key]}
 _NEUTRAL |= {word for part in _PARTS if not part.isascii() for word in part.split()}
 

@@ -86,7 +86,7 @@ def reshaped(rows: Sequence[Row]) -> Sequence[Row]:
         are_titles = {*map(cell_kind, titles)} <= {"t", ""}
         words = [{*words_of(str(t))} for t in titles if are_titles]
         for j in (j for j, own in enumerate(words) if own and own <= {*WORDS["long"]["names"]}):
-            count = Counter(str(c[j]) for _, c in rows[k + 1 :] if len(c) == len(titles) > 2)
+            count = Counter(c[j] for _, c in rows[k + 1 :] if len(c) == len(titles) > 2)
             if len(count) > 1 and min(count.values()) > 2 and {*map(cell_kind, count)} == {"t"}:
                 return [*rows[:k], *_widened(rows[k:], j, list(count))]
     return rows
@@ -100,13 +100,16 @@ def _widened(rows: Sequence[Row], j: int, names: list[str]) -> list[Row]:
     spread = [k for k, t in enumerate(titles) if not {*title_meanings(t)} & {"time", "counter"}
               and "n" in {cell_kind(c[k]) for _, c in body[:_LYING] if len(c) == len(titles)}]
     kept = [k for k in range(len(titles)) if k not in (*spread, *units, j)]
-    full = [cells for _, cells in body if len(cells) == len(titles)]
-    unit_of = {str(cells[j]): f" [{cells[units[0]]}]" if units else "" for cells in full}
     made = [titles[k] for k in kept]
     for k in spread:
         is_value = {*words_of(titles[k])} <= {*WORDS["long"]["values"]}
-        made += [(name if is_value else f"{name} {titles[k]}") + unit_of[name] for name in names]
-    return [(line, made), *(
-        (n, [*(cells[k] for k in kept),
-             *(cells[k] if str(cells[j]) == name else "" for k in spread for name in names)])
-        if len(cells) == len(titles) else (n, cells) for n, cells in body)]
+        made += names if is_value else [f"{name} {titles[k]}" for name in names]
+    found: list[Row] = [(line, made)]
+    for n, cells in body:
+        if len(cells) == len(titles):
+            unit = "".join(str(cells[k]).replace(" ", "") for k in units)
+            held = [f"{cells[k]} {unit}" if units and cells[k] != "" else cells[k] for k in spread]
+            cells = [*(cells[k] for k in kept),
+                     *(c if cells[j] == name else "" for c in held for name in names)]
+        found.append((n, cells))
+    return found

@@ -480,8 +480,10 @@ class _Block:
             raise InputError(message("mismatch", titles=len(titles), width=width, line=line,
                                      cells=_text(cells)[:40], hint=hint))  # fmt: skip
         titles, units = ([*texts, *[""] * width][:width] for texts in (titles, units))
+        # Temperature unit: Fahrenheit
         told = [m for c in above if (m := read.PATTERNS.unit_note.match(_text(c[1])))]
-        unit_of = {read.title_meanings(m[1]): m[2] for m in told}  # Temperature unit: Fahrenheit
+        unit_of = {read.title_meanings(m[1]): m[2] for m in told if parse_unit(m[2])}
+        unit_of.pop((), None)
         units = [u if u or split_title(t)[1] else unit_of.get(read.title_meanings(t), "")
                  for t, u in zip(titles, units, strict=True)]
         lines = np.array([line for line, _ in body], dtype=np.int64)

@@ -317,7 +317,8 @@ def test_columns_have_the_titles_units_and_numbers_of_their_text(text, expected,
 @pytest.mark.parametrize(("encoding", "titles"), [
     ("gbk", "时间(s),电压(V),温度(℃)"), ("cp949", "시간(s),전압(V),온도(℃)"),
     ("cp932", "時間（ｓ）,電圧（Ｖ）,温度（℃）"), ("cp1252", "Tempo (s),Tensão (V),T (°C)"),
-    ("cp1251", "Время (с),Напряжение (В),Температура (°C)"), ("koi8_r", "Время (с),Ток (А),T (C)"),
+    ("cp1252", "Tiempo (s),Tensión (V),Posición (mm)"), ("koi8_r", "Время (с),Ток (А),T (C)"),
+    ("cp1251", "Время (с),Напряжение (В),Температура (°C)"),
     ("cp866", "Время (с),Напряжение (В),Температура (C)"), ("big5", "時間(s),電壓(V),位移(mm)"),
     ("cp1253", "Χρόνος (s),Τάση (V),Θερμοκρασία (°C)"), ("euc_jp", "時間(s),電圧(V),温度(C)"),
     ("cp1250", "Čas (s),Napětí (V),Teplota (°C)"), ("cp1254", "Zaman (s),Akım (A),Sıcaklık (°C)")])
