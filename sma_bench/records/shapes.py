@@ -44,7 +44,8 @@ def split(lines: Sequence[str], separator: str | None) -> list[Row]:
 def stamped(lines: list[str]) -> tuple[list[str], list[str]]:
     """The stamps of a terminal in front of lines, "" where none is, and the lines without them;
     no stamps if most lines have none: `[10:04:05.123] 2.0,5.3`, `10:04:05.123 -> 2.0,5.3`."""
-    parted = [PATTERNS.stamp.match(line) for line in lines]
+    is_any = any(map(PATTERNS.stamp.match, lines[:_TOP]))  # quickly: mostly none is
+    parted = [PATTERNS.stamp.match(line) if is_any else None for line in lines]
     stamps = [found[1] if found and moment_of(found[1]) else "" for found in parted]
     if 2 * sum(map(bool, stamps)) <= sum(map(bool, map(str.strip, lines))):
         return [], lines

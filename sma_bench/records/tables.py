@@ -177,7 +177,8 @@ def _read(content: bytes) -> TableFile:
             counts = {s: sum(len(cells) > 2 for cells in rows) for s, rows in parted.items()}
         separator = next(s for s, n in counts.items() if n >= 0.98 * max(counts.values()))
         separator, rows = ("\t", rows) if rows else (separator, split(lines, separator))
-        rows = [(n, [stamps[n - 1], *cells] if stamps else cells) for n, cells in rows]
+        if stamps:
+            rows = [(n, [stamps[n - 1], *cells]) for n, cells in rows]
         tables, outside = tables_of(rows, separator, "", lines)
     elif reader == "Excel":
         for (title,), rows, _ in _unfolded(content, reader):
