@@ -288,7 +288,7 @@ def _planned(document: Mapping[str, Any], fitted: Fit, question: OpenQuestion,
     voltage = heating_voltage(commanded, question.parameters)
     like, nothing = question.observation, np.zeros(0)
     more = [BinnedSignal(f"{channel}.{q}", q, wire, nothing, nothing, np.ones(1), _MOUNTED[q][1],
-                         _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q])
+                         _MOUNTED[q][0], _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q])
             for q in mounted for wire, channel in enumerate(like.channels)]
     signals = []
     for signal in (*like.signals, *more):

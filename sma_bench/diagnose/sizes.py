@@ -53,7 +53,7 @@ def contribution(fitted: Fit, names: Sequence[str]) -> Array:
 def sample_noise(problem: Problem, name: str) -> float:
     """Standard deviation of a sample: white noise, and drift unless an effect explains it."""
     signal, noise = next(problem.of_signal(name)).signal, problem.noise[name]
-    white = noise.white * np.sqrt(signal.usual_count)
+    white = noise.white / signal.noise * signal.scatter
     return float(white if noise.wanders else np.hypot(white, noise.drift))
 
 
@@ -107,13 +107,14 @@ def shrinkage(observations: Sequence[Observation], nominal: Parameters, recalibr
     for obs in observations:
         models = map(obs.by_signal, obs.predict([nominal, recalibrated, improved]).T)
         for signal, *readings in zip(obs.signals, *models, strict=True):
-            noise, usual = noises[signal.name], signal.usual_count
+            noise = noises[signal.name]
+            white = noise.white / signal.noise * signal.scatter  # of a sample
             which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)
             _, which = np.unique(which, return_inverse=True)
             counts = np.bincount(which, signal.count)
-            floor = float(noise.white**2 * usual + noise.drift**2)
+            floor = float(white**2 + noise.drift**2)
             # A bin's mean hides most of its samples' white noise: it is added again.
-            hidden = noise.white**2 * usual * (signal.count - 1.0)
+            hidden = white**2 * (signal.count - 1.0)
             squares = [np.bincount(which, signal.count * (signal.value - model) ** 2 + hidden)
                        for model in readings]
             rows = np.column_stack([counts, np.full(len(counts), floor), *squares])

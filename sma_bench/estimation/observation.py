@@ -54,6 +54,7 @@ RETURNS = 0.012  # of a stroke, to which a bench returns from run to run
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, delay of an instrument's timestamps behind those of the voltages
 _NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is more exact
+_AVERAGED = 10  # samples of a bin at most: that error is the same in neighbouring ones
 # What differs between runs of one bench, one standard deviation: K, or share of the value.
 STATES = {"environment.ambient_temperature": 1.5, "wire.heat_transfer_coefficient": 0.07,
           "wire.maximum_recoverable_strain": 0.025}
@@ -100,7 +101,8 @@ class BinnedSignal:
     value: Array  # (b,) mean in the signal's unit
     count: Array  # (b,) samples
     period: float  # s between bins
-    noise: float  # white, of a bin of the usual count, from sample to sample
+    noise: float  # white, of a bin of the usual count; at least the error of any model
+    scatter: float  # the same of a sample
     average: csr_array  # (b, n) from values on the grid to bins; from conductance to current
     sensor: Sensor
 
@@ -111,7 +113,7 @@ class BinnedSignal:
     @property
     def usual_drift(self) -> float:
         """Slow drift that a good instrument may have."""
-        return max(self.sensor.drift, self.noise * float(np.sqrt(self.usual_count)))
+        return max(self.sensor.drift, self.scatter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -430,8 +432,10 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     time, value = measured.time, measured.values
     kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
     bins, sensor = len(kept), SENSORS[measured.quantity]
-    sample = max(noise_floor(value), _NOISE_FLOOR * float(np.ptp(value)))
-    noise = max(sensor.least, sample / float(np.sqrt(np.median(count))))
+    scatter, samples = noise_floor(value), float(np.median(count))
+    root = math.sqrt(min(samples, _AVERAGED))
+    error = max(sensor.least, _NOISE_FLOOR * float(np.ptp(value)) / root)
+    noise = max(scatter / math.sqrt(samples), error)
     # Interpolation at the samples' times, then the mean over each bin.
     weight = 1.0 / count[which]
     if measured.quantity == "current":
@@ -440,7 +444,8 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     return BinnedSignal(measured.name, measured.quantity, measured.wire,
                         np.bincount(which, time, bins) / count,
                         np.bincount(which, value, bins) / count, count.astype(np.float64), period,
-                        noise, mean @ _interpolation(grid, time), sensor)
+                        noise, max(scatter, error * root), mean @ _interpolation(grid, time),
+                        sensor)
 
 
 def _interpolation(grid: Array, time: Array) -> csr_array:

@@ -342,10 +342,10 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
         for block in fitted.problem.blocks:
             signal, residual = block.signal, fitted.residual[block.rows]
             # A bin's mean removes most of its samples' white noise: add it back.
-            count, hidden = signal.usual_count, signal.noise**2 * (signal.usual_count - 1.0)
+            hidden = signal.scatter**2 * (1.0 - 1.0 / signal.usual_count)
             rms = float(np.sqrt(np.average(residual**2, weights=signal.count) + hidden))
-            noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
-            yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
+            reach, unit = float(np.ptp(signal.value)), UNITS[signal.quantity]
+            yield signal.quantity, SignalFit.judged(rms, signal.scatter, reach, unit)
     # Strain of isobaric loops against the model of E6 or E9, which may be more than the paper's.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
     curves, quantity = loops[-1].curves if loops else {}, "strain"

@@ -73,6 +73,19 @@ def test_a_record_that_cannot_be_compared_is_refused():
         observe(Record("made_up", 0, {tip.name: tip}), believed())
 
 
+@pytest.mark.parametrize(("rate", "noise", "of_bin", "of_sample"), [
+    (50.0, 1e-6, 2e-5 / 10.0**0.5, 2e-5), (2000.0, 1e-6, 2e-5 / 10.0**0.5, 2e-5),
+    (2000.0, 4e-4, 4e-4 / 400.0**0.5, 4e-4)])
+def test_a_fast_logger_averages_its_noise_but_not_the_error_of_the_model(rate, noise, of_bin,
+                                                                         of_sample):
+    time, voltage = drive(rate=rate)
+    moved = 0.02 * np.sin(np.pi * time / DURATION)  # m
+    tip = moved + noise * np.random.default_rng(1).standard_normal(len(time))
+    view = observe(record_of(time, voltage.T, Signal("deflection", "m", time, tip)), believed())
+    assert view.signals[0].noise == pytest.approx(of_bin, rel=0.15)
+    assert view.signals[0].scatter == pytest.approx(of_sample, rel=0.1)
+
+
 def test_grid_cells_begin_at_jumps_and_are_short_after_them():
     time = np.arange(0.0, 30.0, 0.02)
     first = 2.2 * ((time > 3.0) & (time < 8.0))
