@@ -21,7 +21,7 @@ SEED, N, LOAD = 3026, 2, "force"  # an effect to be seen in all signals, in sqli
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("blind") / "set"
-    manifest = make(folder, SEED, N, jobs=2, load=LOAD)
+    manifest = make(folder, SEED, N, load=LOAD)
     return folder, unseal(folder / "labels.sealed", manifest["sha256"])
 
 
