@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 LARGEST = 1 << 24  # bytes of a result file
 _LARGEST_NUMBER = 1e100  # in any unit; larger ones mean a damaged file
 T = TypeVar("T")
+NUMBER_HEADER = ("parameter", "value ± statistical ± systematic", "from the records", "reference",
+                 "difference", "by")
 _SCALES = {
     "voltage_command": ("V", 1.0), "voltage": ("V", 1.0), "current": ("mA", 1e3),
     "temperature": ("K", 1.0), "force": ("N", 1.0),
@@ -245,10 +247,25 @@ def card_lines(shown: Card, width: float) -> list[str]:
 
 
 def card_text(result: Any, width: float = math.inf, asked: Invocation | None = None) -> str:
-    """The card with all numbers as text of `width` characters, at most 96."""
-    return "\n".join(card_lines(card(result, asked, numbers=True), width))
+    """The card as text of `width` characters, at most 96. An identification's has a table of its
+    numbers, which may be wider; where it is wider than `width`, a row of the card per number."""
+    shown, rows = card(result, asked), number_rows(result)
+    title = card_lines(Card(shown.title, ()), width)
+    every = [NUMBER_HEADER, *rows] if rows else []
+    columns = [own for own in zip(*every, strict=True) if any(own[1:])]
+    padded = [[f"{cell:{max(map(len, own))}}" for cell in own] for own in columns]
+    table = [printable("  ".join(row).rstrip()) for row in zip(*padded, strict=True)]
+    if max(map(len, table), default=0) > width:
+        return "\n".join(card_lines(card(result, asked, numbers=True), width))
+    return "\n".join([*title, *table, *card_lines(shown, width)[len(title) :]])
+
+
+def number_rows(result: Any) -> list[tuple[str, ...]]:
+    """Rows of the table with NUMBER_HEADER, one per number; none for a diagnosis."""
+    return cells(result, "numbers") if getattr(result, "estimates", None) else []
 
 
 def card_html(result: Any) -> str:
-    """The card with all numbers as an HTML table, all text escaped."""
-    return _templates().get_template("card.html.j2").render(card=card(result, numbers=True))
+    """The card as HTML tables, all text escaped."""
+    template = _templates().get_template("card.html.j2")
+    return template.render(card=card(result), header=NUMBER_HEADER, numbers=number_rows(result))
