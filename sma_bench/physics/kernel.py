@@ -321,6 +321,14 @@ class Kernel:
         core.run(time, volts, wires, sides, history, strain)
         return history, strain
 
+    def currents(self, voltage: ArrayLike, *states: Array) -> Array:
+        """(..., w) A through one wire of each channel at `voltage` (..., w) V, in these states:
+        temperature K, martensite fraction, sag V."""
+        columns = [np.ascontiguousarray(np.atleast_2d(of), float) for of in (voltage, *states)]
+        found = np.empty_like(columns[0])
+        core.currents(self.rows[0].copy(), *columns, found)
+        return found.reshape(np.shape(voltage))
+
     def state(self, memory: tuple[Array, Array]) -> State:
         """Snapshot of the kernel's state."""
         wires, sides = memory[0].copy(), memory[1].copy()

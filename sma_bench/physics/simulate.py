@@ -13,7 +13,6 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
 from sma_bench.physics import columns as at
-from sma_bench.physics import core
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary
 from sma_bench.physics.effects import EFFECTS
@@ -77,11 +76,8 @@ class Readings:
     def current_at(self, voltage: ArrayLike) -> Array:
         """(..., w) A through the channels in their states at `voltage` (..., w) V, as read or
         commanded: the mean of a duty; eq. (3) with all effects off."""
-        states = voltage, self.temperature, self.martensite_fraction, self.sag
-        columns = [np.ascontiguousarray(np.atleast_2d(state), dtype=float) for state in states]
-        found = np.empty_like(columns[0])
-        core.currents(self.kernel.rows[0].copy(), *columns, found)
-        return self.parameters["wire.count"] * found.reshape(np.shape(voltage))
+        of_one = self.kernel.currents(voltage, self.temperature, self.martensite_fraction, self.sag)
+        return self.parameters["wire.count"] * of_one
 
 
 # With these the current is not in proportion to the voltage. Least share of the highest voltage
