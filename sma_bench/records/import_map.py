@@ -112,6 +112,7 @@ def read_map(path: str | Path) -> ImportMap:
         quantity = in_place or (known.quantity if known else "")
         is_angle = (quantity, entry.measured.quantity) == ("length", "angle")
         is_strain = (entry.kind, entry.measured.quantity) == ("elongation", "ratio")
+        is_strain &= entry.scale != 1.0  # m, the length
         is_unit = is_angle or is_strain or entry.measured.quantity == quantity
         rules += [
             (f"{where}signal", entry.signal, in_si, "a name such as wire.voltage"),

@@ -14,6 +14,7 @@ from sma_bench.records.cells import PATTERNS, WORDS, cell_kind, moment_of, title
 Row = tuple[int, list[Any]]  # line number from 1, cells
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
 _LYING, _TOP = 12, 60  # cells from which a row may be a channel; rows with titles of a long table
+_MOST_NAMES = 60  # of one table, or in lines of a text
 
 
 def split(lines: Sequence[str], separator: str | None) -> list[Row]:
@@ -67,7 +68,8 @@ def named_values(lines: Sequence[str]) -> list[Row]:
         has_others = PATTERNS.lone.search(PATTERNS.pair.sub("", line))  # a: 1, 2, 3
         found.append({} if has_others or named.keys() <= {"Time"} else named)
     names = list(dict.fromkeys(name for named in found for name in named))
-    if 2 * sum(map(bool, found)) <= sum(map(bool, map(str.strip, lines))):
+    most = sum(map(bool, map(str.strip, lines))) < 2 * sum(map(bool, found))
+    if not most or len(names) > _MOST_NAMES:
         return []
     rows: list[Row] = [(n, [named.get(name, "") for name in names] if named else [line.strip()])
                        for n, (line, named) in enumerate(zip(lines, found, strict=True), 1)]
@@ -88,7 +90,8 @@ def reshaped(rows: Sequence[Row]) -> Sequence[Row]:
         words = [{*words_of(str(t))} for t in titles if are_titles]
         for j in (j for j, own in enumerate(words) if own and own <= {*WORDS["long"]["names"]}):
             count = Counter(c[j] for _, c in rows[k + 1 :] if len(c) == len(titles) > 2)
-            if len(count) > 1 and min(count.values()) > 2 and {*map(cell_kind, count)} == {"t"}:
+            are_names = {*map(cell_kind, count)} == {"t"} and min(count.values()) > 2
+            if are_names and 1 < len(count) <= _MOST_NAMES:
                 return [*rows[:k], *_widened(rows[k:], j, list(count))]
     return rows
 
