@@ -348,13 +348,9 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
             yield signal.quantity, SignalFit.judged(rms, signal.scatter, reach, unit)
     # Strain of isobaric loops against the model of E6 or E9, which may be more than the paper's.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
-    curves, quantity = loops[-1].curves if loops else {}, "strain"
-    if loops and loops[-1].name == "E6":
-        quantity = "strain (every branch by itself)"
-    elif loops and any(name.startswith("extended") for name in loops[-1].details):
-        quantity = "strain (extended law)"
+    curves = loops[-1].curves if loops else {}
     for name, strain in curves.items():
         stem, _, kind = name.rpartition("/")
         if kind == "strain" and len(strain) >= 3:
             rms = float(np.sqrt(np.mean((strain - curves[f"{stem}/model"]) ** 2)))
-            yield quantity, SignalFit.judged(rms, noise_floor(strain), float(np.ptp(strain)), "1")
+            yield "strain", SignalFit.judged(rms, noise_floor(strain), float(np.ptp(strain)), "1")

@@ -136,6 +136,15 @@ class Identification(Carded, Reported):
         return any(fit.verdict == "misfit" for fit in self.fit.values())
 
     @property
+    def strain_by(self) -> str:
+        """The model whose strain `fit` judges, if it is not the paper's law: "by" and its name."""
+        last = next((e for e in self.experiments[::-1] if e.name in ("E6", "E9")), None)
+        if last is None or last.name == "E6":
+            return "by every branch alone" if last else ""
+        extended = any(name.startswith("extended") for name in last.details)
+        return "by the extended law" if extended else ""
+
+    @property
     def fit_line(self) -> str:
         """Which signals the model misses; "" if it fits all within their noise."""
         return "".join(sentences(self, "fit_line"))

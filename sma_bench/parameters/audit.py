@@ -7,7 +7,7 @@ from typing import Any
 from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import parameters as law
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS, read_declarations
-from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION, Parameters
+from sma_bench.parameters.parameters import CONVECTION_FACTOR, GRAVITY, NITI_EXPANSION, Parameters
 
 NITI_RESISTIVITY = (70e-8, 110e-8)  # ohm m, martensite 76 to 80, austenite 82 to 100 microohm cm
 WIRE_EMISSIVITY = (0.2, 0.9)  # bright to oxidised
@@ -168,6 +168,6 @@ def _drive_and_load(p: Parameters) -> list[Finding]:
         numbers = {"force": force, "stress": stress, "stress_at_full_stroke": most, "shift": shift}
         found.append(_judged(p, "force", clash, numbers, strength=NITI_STRENGTH / 1e6,
                              working=NITI_WORKING_STRESS / 1e6, rest=stress / 1e6,
-                             full=most / 1e6, stroke=stroke * 1e3, newton=9.81 * force,
+                             full=most / 1e6, stroke=stroke * 1e3, newton=GRAVITY * force,
                              enough=NITI_STRETCHES / 1e6))
     return found

@@ -37,8 +37,15 @@ CASES = [
     ({f"{VISCOUS}.relaxation": 0.25, f"{VISCOUS}.time_constant": 5.0}, ALL, FEW),
     # With all effects as candidates, from the deflection alone.
     ({"effect.residual_strain.share": 0.12}, ("deflection",), tuple(EFFECTS)),
+    ({"effect.residual_strain.share": 0.12, "effect.residual_strain.recovery": 0.05}, ALL[1:],
+     ("residual_strain", "transition_drift", "viscoelastic_matrix")),
+    ({"effect.supply_drop.battery": 0.6, "effect.supply_drop.battery_time": 8.0}, ALL,
+     ("supply_drop", "ambient_drift", "phase_dependent_resistance")),
     ({"effect.supply_drop.threshold": 0.4}, ALL,
      ("supply_drop", "ambient_drift", "temperature_underfill", "phase_dependent_resistance")),
+    ({"effect.opposing_wires.buckled": 0.6, "effect.opposing_wires.gap": 0.002,
+      "effect.opposing_wires.detwinning_stress": 60e6}, ALL[1:],
+     ("opposing_wires", "stress_dependent_transition", "side_asymmetry")),
     ({"effect.slack.rubbing_strain": 0.002, "effect.slack.friction": 5e6}, ALL[1:],
      ("slack", "residual_strain", "transition_drift")),
 ]
@@ -58,7 +65,8 @@ def expect(result, numbers):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("numbers", "quantities", "library"), CASES,
-                         ids=["viscous", "strained", "transistor", "rubbing"])
+                         ids=["viscous", "strained", "recovering", "battery", "transistor",
+                              "detwinning", "rubbing"])
 def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tmp_path):
     seen, unseen = planted_pair(tmp_path, numbers, quantities=quantities)
     with few_effects(library):
@@ -207,12 +215,16 @@ def test_a_supply_overloaded_at_a_small_current_is_found_without_a_recorded_curr
     assert abs(knee["value"] - 0.6 * amperes) < 4.0 * knee["std"] < amperes
 
 
+ROOM, STROKE = "environment.ambient_temperature", "wire.maximum_recoverable_strain"
+
+
 @pytest.mark.slow
-def test_a_run_of_another_day_is_no_cause(tmp_path):
+@pytest.mark.parametrize("away", [{ROOM: 2.0}, {STROKE: 0.0008}], ids=["room", "stroke"])
+def test_a_run_of_another_day_is_no_cause(away, tmp_path):
     """Air temperature, draughts and strokes differ from run to run; if each record drives another
     side, the difference could be taken for one of the sides."""
-    bench, records, room = true_bench(), [], "environment.ambient_temperature"
-    for name, more in (("monday", {}), ("tuesday", {room: bench[room] + 2.0})):
+    bench, records = true_bench(), []
+    for name, more in (("monday", {}), ("tuesday", {n: bench[n] + d for n, d in away.items()})):
         there, turned = bench.replace(more), bool(more)
         seed = 2 if turned else 1
         records.append(planted_record(tmp_path / name, bench=there, turned=turned, seed=seed))
@@ -222,8 +234,10 @@ def test_a_run_of_another_day_is_no_cause(tmp_path):
     for quantity in ("temperature", "deflection"):
         shrunk = found.shrinkage[quantity]
         assert shrunk.rmse_recalibrated < 1.5 * shrunk.noise_floor
+    (name,) = away
     (second,) = found.held_out
-    assert second.away[room] * STATES[room] == pytest.approx(2.0, rel=0.5)
+    size = 1.0 if name == ROOM else bench[name]
+    assert second.away[name] * STATES[name] * size == pytest.approx(away[name], rel=0.5)
     assert any("tuesday" in line for line in found.record)
 
 
