@@ -18,12 +18,19 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import NONLINEAR, STATE, TICK, Nuisances, linearised, moved_to
+from sma_bench.estimation.nuisances import (
+    NONLINEAR,
+    STATE,
+    STEP,
+    TICK,
+    Nuisances,
+    linearised,
+    moved_to,
+)
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 
-_STEP = 1e-4  # prior deviations, of a finite difference
 # Misfits as shares of a stroke, and how many independent readings they or a record count for.
 _FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0  # before the first fit
 USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0  # the prior of a misfit
@@ -219,7 +226,7 @@ class Problem:
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
-        steps = np.where(x + _STEP <= unknowns.bounds()[1], _STEP, -_STEP)[[*which]]
+        steps = np.where(x + STEP <= unknowns.bounds()[1], STEP, -STEP)[[*which]]
         benches = [unknowns.nudged(here, x, i, step)
                    for i, step in zip(which, steps.tolist(), strict=True)]
         cells, of_seen = (sum(len(o.grid) for o in one.observations) for one in (self, seen))

@@ -14,7 +14,8 @@ from sma_bench.diagnose.sizes import shrinkage
 from sma_bench.errors import InputError
 from sma_bench.estimation import unknowns as of_fits
 from sma_bench.estimation.noise_model import Noise
-from sma_bench.estimation.observation import observe, shared_bin
+from sma_bench.estimation.nuisances import STATE, linearised
+from sma_bench.estimation.observation import STATES, observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import BACK, FRONT, TEMPERATURES, unknowns_of_records
@@ -61,6 +62,17 @@ def test_currents_are_predicted_with_what_the_supply_drops(drop, tmp_path):
     for signal, predicted in zip(obs.signals, readings, strict=True):
         assert np.ptp(predicted) > 100.0 * signal.noise
         assert np.sqrt(np.mean((signal.value - predicted) ** 2)) < 3.0 * signal.noise
+
+
+def test_the_state_of_a_run_is_fitted_along_the_slopes_of_the_readings(tmp_path):
+    """Whole deviations are not: where runs differed, fits of two stopped far from the optimum."""
+    lab = believed()
+    seen = observe(planted_record(tmp_path / "bag"), lab, quantities=("deflection",))
+    half, whole = (linearised(seen, lab, states=size) for size in (0.5, 1.0))
+    states = [k for k, item in enumerate(whole.items) if item.kind == STATE]
+    slopes = whole.columns[:, states]
+    assert len(states) == len(STATES) and np.all(np.ptp(slopes, axis=0) > NOISE["deflection"])
+    assert half.columns[:, states] == pytest.approx(0.5 * slopes, abs=1e-3 * np.ptp(slopes))
 
 
 def test_a_record_that_cannot_be_compared_is_refused():
