@@ -49,7 +49,7 @@ _PROMISES = 10.0  # factor by which a fit may gain more than its start promises
 _BEYOND = 30.0  # nats: effects that even so would gain so much less than the best are not fitted
 _WORTH_A_FORM = 2.0  # nats that its start must promise
 _STUCK = 5.0  # nats of a better start that show that recalibration had not converged
-_MOST_PASSES, _MOVING = 4, 1.0  # passes of a refinement, and nats gained that are worth another
+_MOST_PASSES, _MOVING = 4, 1.0  # passes of a refinement; nats of change that need another
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats that a single must gain
 # The numbers that an effect adds to 1/C, and C: a fit can end with the change divided among both.
@@ -162,11 +162,10 @@ def search(observations: Sequence[Observation], parameters: Parameters,
              if gain >= limit]
     instead = [_due_to_effect(found) for name, found in singles.items() if name in _INSTEAD]
     keep([*in_threads(_refined, worth + replaced), *instead])
-    better, stuck = _again(baseline, recalibrated, singles)
+    recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("effects again, as recalibration was stuck")
-        keep(_singles(kinds, better, progress).values())
-    recalibrated = max(better, _refined(better), key=by_evidence) if _nonlinear(better) else better
+        keep(_singles(kinds, recalibrated, progress).values())
     progress("pairs of effects")
     pairs = _pairs(baseline, singles, recalibrated)
 
@@ -264,14 +263,17 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
 
 
 def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
-    """Recalibration started from the parameters of the best single, if that is better; True if it
-    is so much better that the singles must be fitted again from there."""
+    """Recalibration started from the parameters of the best single, if that is better, and refined;
+    True if it is so much better that the singles must be fitted again from there."""
     if not singles:
         return recalibrated, False
     best = max(singles.values(), key=by_evidence)
     better = fit(recalibrated.problem, baseline, best.x[: baseline.baseline], far=True)
-    gained = better.evidence - recalibrated.evidence
-    return (better if gained > 0.0 else recalibrated), gained > _STUCK
+    if better.evidence <= recalibrated.evidence:
+        return recalibrated, False
+    if _nonlinear(better):
+        better = max(better, _refined(better), key=by_evidence)
+    return better, better.evidence - recalibrated.evidence > _STUCK
 
 
 def _nonlinear(fitted: Fit) -> bool:
@@ -280,13 +282,13 @@ def _nonlinear(fitted: Fit) -> bool:
 
 def _refined(found: Fit) -> Fit:
     """The same model fitted again with nuisances linearised about itself, not about recalibration;
-    repeated until it gains nothing if states of runs or jumps of a slow logger are among them."""
+    repeated until it changes nothing if states of runs or jumps of a slow logger are among them."""
     nonlinear = _nonlinear(found)
     for _ in range(_MOST_PASSES if nonlinear else 1):
         problem, gone = found.problem.about(found.parameters, found.z), found.evidence
         known = None if nonlinear else found.predicted
         found = fit(problem, found.unknowns, found.x, rounds=2, predicted=known)
-        if found.evidence - gone < _MOVING:
+        if abs(found.evidence - gone) < _MOVING:
             break
     return found
 

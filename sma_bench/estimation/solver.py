@@ -28,7 +28,7 @@ from sma_bench.progress import Report, silent
 _MOST_STEPS, _FAR_STEPS = 10, 30  # of one round; of the approach from afar
 # prior deviations: starts for the moment between two samples at which a slow logger's voltage jumps
 _TICKS = -1.3, 0.0, 1.3
-_MOVES = 3  # of nuisances that are not linear
+_MOVES = 8  # of nuisances that are not linear, at most
 _WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # of new weights: at least; at most, while they change
 _SAME_WEIGHT = 0.5  # change of a level's logarithm
 _USUAL_STATES, _LEAST_STATE = 0.5, 0.05  # weight of a usual size, in states; smallest size
@@ -205,7 +205,10 @@ def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
         best = max(in_threads(partial(fit, rounds=1), begun), key=by_evidence)
     if first.of_kind(TICK).any() or (first.later and len(first.observations) > 1):
         for _ in range(_MOVES):
+            before = best.evidence
             best = fit(best.problem.about(best.parameters, best.z), unknowns, best.x, rounds=1)
+            if abs(best.evidence - before) < _SETTLED:
+                break
         first = best.problem
     last = (best.problem if keep_noise else first).with_nuisances(best.parameters)
     return fit(last, unknowns, best.x, rounds=2, predicted=best.predicted), tried
