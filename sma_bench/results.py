@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 LARGEST = 1 << 24  # bytes of a result file
 _LARGEST_NUMBER = 1e100  # in any unit; larger ones mean a damaged file
 T = TypeVar("T")
-NUMBER_HEADER = ("parameter", "value ± statistical ± systematic", "from the records", "reference",
-                 "difference", "by")
+NUMBER_HEADER = ("parameter", "value ± statistical ± systematic", "difference", "informed",
+                 "reference", "by")  # the most important first
 _SCALES = {
     "voltage_command": ("V", 1.0), "voltage": ("V", 1.0), "current": ("mA", 1e3),
     "temperature": ("K", 1.0), "force": ("N", 1.0),
@@ -248,15 +248,14 @@ def card_lines(shown: Card, width: float) -> list[str]:
 
 def card_text(result: Any, width: float = math.inf, asked: Invocation | None = None) -> str:
     """The card as text of `width` characters, at most 96. An identification's has a table of its
-    numbers, which may be wider; where it is wider than `width`, a row of the card per number."""
+    numbers: their names and values, and the other columns that fit."""
     shown, rows = card(result, asked), number_rows(result)
     title = card_lines(Card(shown.title, ()), width)
-    every = [NUMBER_HEADER, *rows] if rows else []
-    columns = [own for own in zip(*every, strict=True) if any(own[1:])]
+    columns = [own for own in zip(NUMBER_HEADER, *rows, strict=True) if any(own[1:])]
     padded = [[f"{cell:{max(map(len, own))}}" for cell in own] for own in columns]
+    while len(padded) > 2 and sum(len(own[0]) + 2 for own in padded) - 2 > width:
+        padded.pop()
     table = [printable("  ".join(row).rstrip()) for row in zip(*padded, strict=True)]
-    if max(map(len, table), default=0) > width:
-        return "\n".join(card_lines(card(result, asked, numbers=True), width))
     return "\n".join([*title, *table, *card_lines(shown, width)[len(title) :]])
 
 

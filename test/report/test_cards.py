@@ -50,11 +50,13 @@ def test_a_card_carries_the_facts_of_a_diagnosis():
             for q in ("temperature", "current")]
     (drifted,) = rows(diagnosed(drifts=both))["drift"]
     assert "wire.temperature by 0.01 K" in drifted and "wire.current by 10 mA" in drifted
-    proposed = {"kind": "E6", "why": "isobaric tests", "separates": ["slack", "supply_drop"]}
-    proposed |= {"chance": 0.8, "minutes": 2.5}
-    (said,) = rows(diagnosed(next_experiment=proposed))["next"]
-    for fact in ("E6", "isobaric tests", "slack", "80 %", "2.5 min"):
-        assert fact in said
+    proposed = {"separates": ["slack", "supply_drop", *"abc"], "chance": 0.8, "minutes": 2.5}
+    for kind, own in (("E6", "why"), ("protocol", "80 %")):
+        about = proposed | {"kind": kind, "why": "why, with the chance", "protocol": {"name": kind}}
+        (said,) = rows(diagnosed(next_experiment=about))["next"]
+        for fact in (kind, own, "slack", "2 more", "2.5 min"):
+            assert fact in said
+        assert ("80 %" in said) != ("why" in said)
 
 
 VERDICTS = ["effect", "ambiguous", "no_gap", "recalibration", "unexplained"]
@@ -66,6 +68,7 @@ def test_every_verdict_has_its_own_title_and_a_next_step_that_fits_the_command(v
     result = diagnosed(verdict=verdict, cause=cause)
     assert (results.card(result).title == results.card(diagnosed()).title) == bool(cause)
     found = rows(result)
+    assert any("zeros" in line for line in found["error"]) == (verdict == "no_gap")
     assert ("cause" in found) == bool(cause) and ("where" in found) == (verdict != "no_gap")
     plain = results.Invocation(("a bag",))
     given = results.Invocation(("a bag",), "", "better.yaml", "page")
@@ -79,16 +82,21 @@ def test_every_verdict_has_its_own_title_and_a_next_step_that_fits_the_command(v
 
 def test_numbers_are_shown_with_both_errors_and_the_stated_value():
     resistance, ambient = results.number_rows(identified())
-    off = ("2.700 ± 0.010 ohm", "+3.7 % (+3.7 std)")
-    assert resistance == (WIRE, "2.800 ± 0.0070 ± 0.024 ohm", "98 %", *off, "E1, warned")
+    off = ("+3.7 % (+3.7 std)", "98 %", "2.700 ± 0.010 ohm")
+    assert resistance == (WIRE, "2.800 ± 0.0070 ± 0.024 ohm", *off, "E1, warned")
     assert ambient == (ROOM, "296.40 ± 0.50 K", "", "", "", "")
     found = rows(identified())
     assert WIRE in found["off"][0] and "-0.70" in found["linked"][0]
     assert results.two_errors(Estimate(2.0, 0.0)) == "2"
+    # Columns that do not fit are left out, the least important first.
+    for width, header in ((200, "informed"), (90, "difference"), (40, "systematic")):
+        table = results.card_text(identified(), width).splitlines()[1:3]
+        assert table[0].endswith(header if width < 200 else "by") and header in table[0]
+        assert table[1].startswith(f"{WIRE} ")
     # A number that is rounded to 0 has no sign.
     near = KELVIN | {"value": 296.15 - 1e-4, "stated": {"value": 296.15, "std": 0.5}}
     (row,) = results.number_rows(identified(parameters={ROOM: near}))
-    assert "(0.0 std)" in row[4]
+    assert "(0.0 std)" in row[2]
     shares = [results.percent(share) for share in (0.001, 0.5, 0.9999)]
     assert shares == ["below 1 %", "50 %", "above 99 %"]
     for value, std, text in (
