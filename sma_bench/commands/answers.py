@@ -3,10 +3,12 @@
 import os
 import sys
 import time
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean, median, stdev
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +21,7 @@ from sma_bench.lifeline import interrupts_held
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import part
 from sma_bench.report.tables import Table, diagnosis_tables
-from sma_bench.results import Invocation
+from sma_bench.results import Invocation, with_unit
 
 if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
@@ -221,27 +223,32 @@ def file_names(paths: list[str]) -> list[str]:
 
 
 def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:
-    from sma_bench.tasks.batch import IDENTIFY
-
     entries = [{"record": o.path, "seconds": o.seconds, "error": o.error or None,
                 "result": o.result} for o in outcomes]
     terminal.write_json(args.json, {"kind": args.kind, "records": entries})
-    rows, misfit = [], False
+    rows, numbers = [], defaultdict[str, list[dict[str, Any]]](list)
     for given, o in zip(args.records, outcomes, strict=True):
-        summary, state = "", "failed" if o.error else "done"
-        if o.result is not None and args.kind == IDENTIFY:
-            found = o.result["parameters"].items()
-            summary = ", ".join(f"{name} {entry['value']:.5g}" for name, entry in found)
-            if any(fit["verdict"] == "misfit" for fit in o.result["fit"].values()):
-                state, misfit, summary = "misfit", True, f"{o.result['card'][0][1]}. {summary}"
-        elif o.result is not None:
-            summary = ": ".join(filter(None, (o.result["verdict"], ", ".join(o.result["cause"]))))
-        rows.append((given, state, summary, f"{o.seconds:.1f}"))
+        result: dict[str, Any] = o.result or {"card": []}
+        fits = [fit["verdict"] for fit in result.get("fit", {}).values()]
+        state = "failed" if o.error else "misfit" if "misfit" in fits else "done"
+        card = [text for k, (label, text) in enumerate(result["card"]) if not k or label == "fit"]
+        rows.append((given, state, ". ".join(card), f"{o.seconds:.1f}"))
+        for name, number in result.get("parameters", {}).items():
+            numbers[name].append(number)
     terminal.print_table(Table(("record", "", "result", "s"), rows, frozenset({3})))
+    repeats = list[tuple[str, str, str]]()
+    for name, own in numbers.items():
+        values, error = [one["value"] for one in own], median(one["std"] for one in own)
+        scatter = stdev(values) if len(own) > 1 else 0.0
+        shown = with_unit(own[0]["unit"], fmean(values), scatter, error)
+        repeats.append((name, f"{len(own)}", shown))
+    if repeats:
+        header = ("parameter", "records", "mean ± scatter ± error of one record")
+        terminal.print_table(Table(header, repeats, frozenset({1})))
     failed = [o for o in outcomes if o.error]
     terminal.print_findings(Finding("error", "batch", o.error) for o in failed)
     print(f"\n{len(outcomes) - len(failed)} of {len(outcomes)} records done")
-    return BAD_INPUT if failed else MISFIT if misfit else 0
+    return BAD_INPUT if failed else MISFIT if any(row[1] == "misfit" for row in rows) else 0
 
 
 @options.command("investigate")

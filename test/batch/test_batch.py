@@ -68,6 +68,7 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
     out = capsys.readouterr().out
     assert out.index("wire_2.9") < out.index("not_a_bag") < out.index("wire_2.5")
     assert "2 of 3 records done" in out
+    assert re.search(r"wire.resistance +2 +2\.70 ± 0\.28 ± 0\.", out)  # mean, scatter, error of one
     # Files of records with one name do not meet.
     assert file_names(["/a/bag", "/b/other"]) == ["bag", "other"]
     assert file_names(["/a/bag", "/b/bag", "/c/1_bag"]) == ["1_bag", "2_bag", "3_1_bag"]
