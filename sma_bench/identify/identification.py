@@ -154,8 +154,8 @@ def _concerned(finding: Finding, own: Experiment | None,
         return named
     if own is not None:
         return tuple(own.estimates)
-    kind = finding.subject.rpartition("." if "." in finding.subject else "/")[2]
-    reading = [e for e in experiments if kind in _READS.get(e.name, (kind,))]
+    kinds = {s.rpartition("." if "." in s else "/")[2] for s in finding.subject.split(", ")}
+    reading = [e for e in experiments if kinds & {*_READS.get(e.name, kinds)}]
     direct = [(n, *_COMPUTED_WITH.get(n, ())) for e in reading for n in e.estimates]
     return tuple(dict.fromkeys(name for names in direct for name in names))
 

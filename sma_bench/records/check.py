@@ -1,5 +1,6 @@
 """Checks of a record: missing signals, order, gaps, clocks, units, saturation, response to heat."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from math import inf
 from pathlib import Path
@@ -134,6 +135,8 @@ def _resolution(values: Array) -> float:
 
 def _rate(record: Record) -> Iterator[Finding]:
     """Gaps, irregular sampling, lost samples."""
+    # By number and place: signals that pause together, as when a node ends, are one finding.
+    pauses = defaultdict[tuple[int, int], list[tuple[float, float, str]]](list)
     for name, signal in record.signals.items():
         period = signal.period
         if len(signal) < 10 or name == "voltage_command" or not period > 0:
@@ -144,8 +147,8 @@ def _rate(record: Record) -> Iterator[Finding]:
         gaps = steps > _GAP_PERIODS * (np.percentile(steps, 95) if is_irregular else period)
         if gaps.any():
             k = int(np.argmax(steps))
-            longest = {"longest": steps[k], "at": signal.time[k], "periods": _GAP_PERIODS}
-            yield finding_of("gaps", name, gaps=int(gaps.sum()), **longest)
+            longest, at = float(steps[k]), float(signal.time[k])
+            pauses[int(gaps.sum()), round(at / longest)].append((longest, at, name))
         lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
         share = lost / (lost + len(signal))
         if is_irregular:
@@ -153,6 +156,9 @@ def _rate(record: Record) -> Iterator[Finding]:
         elif share > _LOSS_INFO:
             key = "many_lost" if share > _LOSS_WARNING else "few_lost"
             yield finding_of(key, name, fraction=share, percent=100 * share, hertz=1 / period)
+    for (count, _), alike in pauses.items():
+        (longest, at, _), names = max(alike), ", ".join(name for *_, name in alike)
+        yield finding_of("gaps", names, gaps=count, longest=longest, at=at, periods=_GAP_PERIODS)
 
 
 def delays_of(record: Record) -> dict[str, tuple[float, float]]:
@@ -351,8 +357,15 @@ def _apart(record: Record, channel: str) -> float:
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
     """Share of a response's variance, without noise, that heat explains; None if it is tiny."""
     time, values = samples(record, response)
-    start = max(float(samples(record, name)[0][0]) for name in voltages)
-    time, values = time[time >= start], values[time >= start]
+    # The longest stretch without a gap, as the heat in a gap is not known.
+    clocks = [time, *(samples(record, name)[0] for name in voltages)]
+    gaps = [clock[k : k + 2] for clock in clocks for k in np.flatnonzero(np.diff(clock) > max(
+        _GAP_PERIODS * float(np.median(np.diff(clock))), _LEAST_MISSING))]
+    begins = np.sort([max(clock[0] for clock in clocks[1:]), *(end for _, end in gaps)])
+    ends = np.sort([*(begin for begin, _ in gaps), time[-1]])
+    longest = np.argmax(ends - begins)
+    inside = (time >= begins[longest]) & (time <= ends[longest])
+    time, values = time[inside], values[inside]
     if len(values) < 2 * _FLAT_SAMPLES or not time[-1] > time[0]:
         return None
     noise = float(np.mean(np.diff(values, 2) ** 2)) / 6.0

@@ -130,9 +130,11 @@ def describe(record: AnyRecord) -> dict[str, Any]:
         signals = parts["signals"] = []
         for s in record.signals.values():
             steps, finite, count = np.diff(s.time), s.values[np.isfinite(s.values)], len(s)
+            # Commands are timed where they are received, often several at once: their mean period.
+            period = s.period if s.name != "voltage_command" else np.ptp(s.time) / max(count - 1, 1)
             signals.append({
                 "name": s.name, "unit": s.unit, "topic": s.topic, "samples": count,
-                "rate": 1 / s.period if s.period > 0 else None,
+                "rate": 1 / period if period > 0 else None,
                 "jitter": float(np.ptp(np.percentile(steps, [5, 95]))) if len(steps) else None,
                 "longest_gap": float(steps.max()) if len(steps) else None,
                 "delay": None if s.received is None else float(np.median(s.received - s.time)),
@@ -151,8 +153,10 @@ def account_line(record: AnyRecord) -> str:
     if not isinstance(record, Record):
         return f"{name}: {record.account}" if record.account else ""
     topics = record.topics
-    taken = sum(topic.count for topic in topics.values() if topic.signals)
-    used = ", ".join(f"{n} ({', '.join(t.signals)})" for n, t in topics.items() if t.signals)
-    rest = (f"{n} ({t.type}, not of the bench)" for n, t in topics.items() if not t.signals)
+    marker = "experiment/marker"
+    gives = {n: t.signals or ("markers",) * n.endswith(marker) for n, t in topics.items()}
+    taken = sum(topic.count for n, topic in topics.items() if gives[n])
+    used = ", ".join(f"{n} ({', '.join(given)})" for n, given in gives.items() if given)
+    rest = ", ".join(f"{n} ({t.type})" for n, t in topics.items() if not gives[n])
     return (f"{name}: {sum(topic.count for topic in topics.values())} messages read, {taken} used; "
-            f"topics used: {used or 'none'}; ignored: {', '.join(rest) or 'none'}")
+            f"topics used: {used or 'none'}; ignored: {rest or 'none'}")

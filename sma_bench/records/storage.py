@@ -174,7 +174,9 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
         topics.remark(METADATA, "cannot be understood; the storage files next to it are read")
     if METADATA not in names:
         if not present:
-            why = f"the folder holds no {METADATA} and no .mcap or .db3 file"
+            inner = any((folder / METADATA).is_file() for folder in path.iterdir())
+            why = "a folder of bags: give each of them, as in " + f"{path}/*" if inner else \
+                f"the folder holds no {METADATA} and no .mcap or .db3 file"
             raise InputError(f"{path}: not a bag: {why}")
         if len({re.sub(r"_\d+$", "", f.name.partition(".")[0]) for f in present}) > 1:
             why = f"files of several bags in it: {', '.join(file.name for file in present[:3])}"

@@ -75,6 +75,9 @@ GROWN = {"wire_voltage": TRIANGLE, "wire_temperature": settling(), "elongation":
 WRONG = [
     ("gap", "wire.voltage", {"gaps": 1, "longest": 3.02},
      {"wire_voltage": (CLOCK[GAP], TRIANGLE[GAP])}),
+    ("a pause of all", "wire.voltage, wire.temperature", {"gaps": 1, "longest": 3.02},
+     {"wire_voltage": (CLOCK[GAP], TRIANGLE[GAP]),
+      "wire_temperature": (CLOCK[GAP], settling()[GAP])}),
     ("losses", "wire.voltage", {"fraction": 1 - LOSSES.mean()},
      {"wire_voltage": (CLOCK[LOSSES], TRIANGLE[LOSSES])}),
     ("disorder", "force", {"backward": 1, "duplicates": 1}, {"force": (REPEATED, TRIANGLE)}),
@@ -162,6 +165,15 @@ def test_swapped_runs_or_channels_are_noticed_and_the_right_ones_are_not(shared_
         signals = triangle.signals | {"deflection": replace(tip, values=-tip.values)}
         turned = replace(triangle, signals=signals)
         assert found(turned)["deflection"]["together"] < -0.8
+
+
+def test_the_heat_of_a_gap_is_not_asked_for():
+    """A bench that ended while it was hot and starts again when it is cold."""
+    run = CLOCK < 8
+    both = np.concatenate([CLOCK[run], CLOCK[run] + 40.0])
+    again = {"wire_voltage": (both, np.tile(PLATEAU[run], 2)),
+             "wire_temperature": (both, np.tile(settling()[run], 2))}
+    assert list(check_response(record(**again))) == []
 
 
 def test_a_reading_that_never_changes_follows_nothing():

@@ -88,6 +88,8 @@ def test_a_path_without_anything_readable_gives_one_line(tmp_path, mcap, write_b
     write_bag(tmp_path / "empty", [], declare=[("/b/t", "std_msgs/msg/String")])
     for name in ("absent", "empty", "folder", "notes.txt", "zero.mcap", "noise.db3"):
         require_one_line(tmp_path / name)
+    write_bag(tmp_path / "folder" / "bag", [], declare=[("/b/t", "std_msgs/msg/String")])
+    require_one_line(tmp_path / "folder", "a folder of bags")
     mcap.unlink()
     require_one_line(mcap.parent, "bag.mcap")
 
