@@ -33,6 +33,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import CARRIED_OVER
+from sma_bench.physics.effects.temperature_underfill import ACROSS
 
 _CLOSE = 0.35  # of the best gain in evidence: singles that gain at most so much less are refined
 _NEAR = 15.0  # nats, the same; the larger limit counts
@@ -200,10 +201,11 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
 
 
 def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
-    """Forms of an effect, the usual one ("") first; CARRIED_OVER needs a record after another."""
-    others = list(EFFECTS[name].forms or ())[1:]
-    follows = any(observation.before is not None for observation in observations)
-    return ["", *(form for form in others if form != CARRIED_OVER or follows)]
+    """Forms of an effect, the usual one ("") first; CARRIED_OVER needs a record after another,
+    ACROSS wires on two sides."""
+    possible = {CARRIED_OVER: any(one.before is not None for one in observations),
+                ACROSS: len({*observations[0].sides}) > 1}
+    return ["", *(form for form in list(EFFECTS[name].forms or ())[1:] if possible.get(form, True))]
 
 
 def _surprises(fitted: Fit) -> bool:

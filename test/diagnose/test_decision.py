@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sma_bench.diagnose import decision
+from sma_bench.diagnose import decision, search
 from sma_bench.diagnose.decision import (
     NAMES,
     SIGNS,
@@ -213,3 +213,9 @@ def test_candidates_stay_complete_if_another_law_replaces_recalibration(monkeypa
     found = {one.name: one.probability for one in decision.with_law(given)}
     assert found == {"transformation_law": 0.6, "slack+transformation_law": 0.3,
                      "unexplained": 0.06, "no_gap": 0.04, "recalibration": 0.0}
+
+
+def test_a_spot_sees_wires_of_the_other_side_only_where_there_are_two():
+    one, both = (set(search._forms("temperature_underfill", [SimpleNamespace(before=None, sides=s)]))
+                 for s in (("front",), ("front", "back")))
+    assert both - one == {"opposite"}

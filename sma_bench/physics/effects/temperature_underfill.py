@@ -11,6 +11,7 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.side_heat_coupling import opposite_temperature
 
+ACROSS = "opposite"  # the form that needs wires on two sides
 _EXPONENT = 4.5
 _PER_CENT = 0.01
 _MOST = 0.95  # largest share of a spot without the wire
