@@ -47,6 +47,8 @@ def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str,
     """A finding with texts of audit.yaml: a warning with the text `clash`, or info without one."""
     texts = _TEXTS[subject]
     facts["wire"] = f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
+    silent = [n for n in texts["of"] if parameters[n] and n not in parameters.given]
+    facts["unstated"] = f"; not stated: {', '.join(silent)}" if parameters.given and silent else ""
     ending = texts[clash] if clash else texts.get("passed", ": plausible")
     if clash and parameters.given and texts["of"][0] not in parameters.given:
         ending = texts.get("unstated", ending)

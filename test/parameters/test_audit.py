@@ -68,6 +68,9 @@ def test_the_papers_own_numbers_are_one_line_unless_asked_for(capsys, tmp_path):
     # A default that does not suit another wire is named as one.
     other = by_subject(Parameters({"wire.diameter": 0.25e-3, "wire.length": 0.2}))
     assert "not stated" in other["heat transfer"].text and "not stated" in other["resistivity"].text
+    half = Parameters({f"wire.austenite_{end}_temperature": 340.0 + (end == "finish")
+                       for end in ("start", "finish")})
+    assert "not stated: wire.martensite_start" in by_subject(half)["transition order"].text
     file = tmp_path / "lab.yaml"
     write_parameters(file, PAPER)
     for arguments, told in (([str(file)], False), ([str(file), "--paper"], True), ([], True)):
