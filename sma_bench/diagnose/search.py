@@ -234,7 +234,8 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
                    predicted=predicted)
 
     def off(kind: Unknowns) -> Fit:
-        return fit_from(kind, start_off(recalibrated, kind), 0, recalibrated.predicted)
+        x = np.pad(recalibrated.x, (0, len(kind.items) - len(recalibrated.x)))
+        return fit_from(kind, x, 0, recalibrated.predicted)
 
     def single(kind: Unknowns, start: Start) -> Fit:
         progress(kind.effects[0])
@@ -376,7 +377,7 @@ def find_start(fitted: Fit, gains_of: Gains, unknowns: Unknowns) -> Start:
     first = len(unknowns.names) - len(own)
     switches = [first + k for k, p in enumerate(own) if p in effect.switches]
     # One switch at a time, every shape.
-    numbers, off = [number_of_effect(p) for p in own], start_off(fitted, unknowns)
+    numbers, off = [number_of_effect(p) for p in own], np.pad(fitted.x, (0, len(own)))
     seen, bench = fitted.problem.observations, fitted.parameters
     longest = max(float(np.ptp(obs.grid)) for obs in seen)
     volts = max(float(np.max(obs.voltage)) for obs in seen)
@@ -402,10 +403,3 @@ def find_start(fitted: Fit, gains_of: Gains, unknowns: Unknowns) -> Start:
     there = trials[best].copy()
     there[switches] = off[switches] + shares[best] * (trials[best] - off)[switches]
     return Start(np.clip(there, *bounds), float(gains[best]))
-
-
-def start_off(fitted: Fit, unknowns: Unknowns) -> Array:
-    """The end of a fit without the last effect, whose numbers are as in that fit (mostly off)."""
-    items = unknowns.items[len(fitted.x) :]
-    off = [item.x_of(fitted.parameters[item.name]) for item in items]
-    return np.clip(np.concatenate([fitted.x, off]), *unknowns.bounds())

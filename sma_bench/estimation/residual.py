@@ -219,10 +219,9 @@ class Problem:
         """d(readings)/dx (n, k) of the `which` unknowns, where the readings are `predicted`.
         `rough`: on cells of a whole bin, good enough for a direction only.
 
-        The steps of these finite differences are small, because across a narrow valley large ones
-        pretend information (with 0.02 prior deviations a supply's resistance seemed to be known six
-        times as well as it was). Coarse cells of a quarter of a bin change the evidence by
-        hundredths of a nat only (half a bin: by up to 0.9, which let a wrong candidate in)."""
+        The steps are small, because across a narrow valley large ones pretend information (with
+        0.02 prior deviations a supply's resistance seemed known six times as well as it was).
+        Cells of a quarter of a bin change the evidence by 0.01 nats, half a bin by up to 0.9."""
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)

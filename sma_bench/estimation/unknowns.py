@@ -173,8 +173,10 @@ class Unknowns:
 
     def parameters(self, x: Array) -> Parameters:
         """The bench at x."""
-        values = {item.name: item.value(at)
-                  for item, at in zip(self.items, x.tolist(), strict=True)}
+        values: dict[str, float] = {}
+        for item, at in zip(self.items, x.tolist(), strict=True):  # an effect adds to a nuisance
+            own = item.value(at) + values.get(item.name, 0.0)
+            values[item.name] = min(max(own, item.low), item.high)
         if self.transitions is not None:
             found = self._four(x)
             four = dict(zip(TEMPERATURES, found, strict=True))
@@ -215,10 +217,8 @@ class Unknowns:
     def nudged(self, bench: Parameters, x: Array, i: int, step: float) -> Parameters:
         """The bench at x, one of its unknowns moved."""
         item = self.items[i]
-        if item.name in (*TEMPERATURES, SPREAD):
-            there = x.copy()
-            there[i] += step
-            return self.parameters(there)
+        if item.name in (*TEMPERATURES, SPREAD) or self.names.count(item.name) > 1:
+            return self.parameters(x + step * (np.arange(len(x)) == i))
         return bench.replace(dict.fromkeys((item.name, *item.tied), item.value(x[i] + step)))
 
     def holding(self, name: str, x: Array) -> tuple["Unknowns", Array]:
@@ -249,7 +249,7 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
     some are of a wire under held loads or between clamps; `own_load`: some are of wires that move
     the load of `load.kind`; `sides_apart`: front and back are two numbers even if they are stated
     alike; `unmodelled`: wires that move a load have all effects of `UNMODELLED`, stated or not;
-    `other_laws`: some grains may follow other laws than the cosine."""
+    `other_laws`: some grains may follow other laws than the cosine, and still air another one."""
 
     def of_table(names: Iterable[str]) -> dict[str, Sequence[float]]:
         return {name: (parameters.std(name), *range_of(name)) for name in names}
@@ -257,8 +257,10 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
     own = [name for name in LOADS.get(load_kind(parameters), ()) if own_load
            if name not in IF_STATED or is_stated(parameters, name)]
     load_frame |= load_kind(parameters) == "displacement"
+    free = parameters["wire.convection"] == "free"
     names, shapes = [*HEAT], {**SHAPES, **of_table(stated_effects(parameters))}
-    shapes |= OTHER_LAWS if other_laws else {}
+    if other_laws:
+        shapes |= {**OTHER_LAWS, **(_PRIORS["still_air"] if free and _RISE not in shapes else {})}
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         shapes |= of_table(ORIENTING.get(parameters["wire.law"], ()))
@@ -266,7 +268,6 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
                            for n in group)
         if own:
             shapes |= _PRIORS["loaded_shapes"] if unmodelled else {}
-            free = parameters["wire.convection"] == "free"
             shapes |= of_table(n for n in UNMODELLED
                                if parameters[n] != 0.0 or (unmodelled and not (free and n == _RISE))
                                if not (n == _RESIDUAL and parameters["wire.law"] in ORIENTING))

@@ -155,6 +155,25 @@ def test_unknowns_start_at_stated_values_and_convert_to_deviations_and_back():
     assert {name: found[name] for name in given} == given
 
 
+@pytest.mark.parametrize(("effect", "own"), [
+    ("partial_transformation", {}),
+    ("temperature_dependent_convection", {"wire.convection": "free"})])  # fmt: skip
+def test_an_effect_adds_to_the_nuisance_of_the_same_number(effect, own):
+    """Every loop is a little different from the model's, and every correlation of still air."""
+    unknowns = unknowns_of_records(rig("spring", own), QUANTITIES, other_laws=True)
+    number, there = EFFECTS[effect].size.name, unknowns.with_effects([effect])
+    places = [k for k, name in enumerate(there.names) if name == number]
+    assert len(places) == 2 and places[0] < unknowns.baseline <= places[1]
+    x = np.zeros(len(there.items))
+    x[places] = 0.5, 0.7
+    bench, (nuisance, _) = there.parameters(x), [there.items[k] for k in places]
+    assert bench[number] == pytest.approx(sum(there.items[k].value(x[k]) for k in places))
+    moved = there.nudged(bench, x, places[0], 0.1)[number] - bench[number]
+    assert moved == pytest.approx(0.1 * nuisance.std)
+    still = unknowns_of_records(rig("spring"), QUANTITIES, other_laws=True)
+    assert (number in still.names) == (not own)
+
+
 @pytest.mark.parametrize("back", [None, 5.2e9])
 def test_sides_stated_alike_are_recalibrated_together_and_others_apart(back):
     lab = believed().replace({BACK: back} if back else {})
