@@ -8,8 +8,7 @@ that is linear in features x of its kind; gains (nats) enter as logarithms, beca
 error grows with the gap it explains. Some weights w have a sign that physics requires. The lapse l
 is the share of cases whose records say nothing (D. McFadden, Conditional logit analysis of
 qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophys. 63, 2001).
-`./bench blind learn` writes the weights and their errors to weights.yaml; none was chosen by hand
-on cases. An effect is named from a probability of 0.6, as in the contract."""
+`./bench blind learn` writes the weights, none of which was chosen by hand, to weights.yaml."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -137,9 +137,11 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
                 remarks = [Finding("info", "next experiment", text)]
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
-    if found.curve > max([_FREE_FORM, *utilities.gains]):
-        remarks.append(Finding("warning", "deflection", "a sensor of the motion that is not linear "
-                               "would explain more than any effect: compare it with gauge blocks"))
+    if (rival := utilities.found.curve) > max([_FREE_FORM, *utilities.gains]):
+        what = ("a sensor of the motion that is not linear: compare it with gauge blocks"
+                if rival == found.curve else "a mount that gives: look at crimps and clamps")
+        text = f"more than by any effect, the gap is explained by {what}"
+        remarks.append(Finding("warning", "deflection", text))
     # Where the gap lies: contribution of effects, unexplained residual, or stated against fitted.
     stages = {} if no_gap else stages_of(candidates, found)
     stage, smooth_input = next(iter(found.inputs.items()))

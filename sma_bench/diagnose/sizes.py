@@ -5,8 +5,7 @@
 counts only the part of the gap that is not noise: a perfect model reaches 1, whatever the sensor.
 The models are simulated as by a user who loads their parameters, without the zeros, delays or jump
 times of a fit. Drift counts as noise only up to the least that a candidate needs, or a usual
-instrument has, because errors of a model are slow too. Between drives the remaining share varies by
-a factor that was fitted in the withheld-effect check."""
+instrument has, because errors of a model are slow too."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,6 +32,7 @@ _DRAWS, _SEED = 400, 1  # of the bootstrap
 _SMALLEST = 0.3  # of the noise: below it there is no gap to shrink
 _BETWEEN_DRIVES = 0.4  # standard deviation of the log of the remaining share, between drives
 _AT_LEAST = 0.007  # standard deviation of that share in addition
+_SHARE = "effect.residual_strain.share"
 REMARK = 0.1  # share of the gap below which a partner is a remark, not a second cause
 
 
@@ -182,7 +182,7 @@ class DecisionInputs:
     beyond: float  # nats that a smooth response gains over the best
     input: float  # the same of a smooth input to some stage
     records: int
-    curve: float = 0.0  # nats that a bent curve of the motion's sensor gains over recalibration
+    curve: float = 0.0  # nats gained by a bent curve of the motion's sensor, or a mount that gives
 
     def remarks(self) -> dict[str, tuple[str, str]]:
         """Pairs whose effect of smaller gain adds almost nothing: (the other one, this one)."""
@@ -198,10 +198,15 @@ def decision_inputs(search: Search) -> DecisionInputs:
     """All inputs of the decision."""
     recalibrated, fits = search.recalibrated, effect_fits(search)
     moved = recalibrated.x[: recalibrated.unknowns.bench]
+    # Below 0, strain is lost for good at the first pull, as where crimps straighten: that is no
+    # effect of the wire, but a rival of each, as a sensor's bent curve is.
+    lost = {n: f.evidence - recalibrated.evidence for n, f in fits.items()
+            if "residual_strain" in f.unknowns.effects and f.parameters[_SHARE] < 0.0}
 
     def facts(name: str, fitted: Fit) -> Facts:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
         gap, gain = own_gap(fitted), fitted.evidence - recalibrated.evidence
+        gain = min(gain, 0.0) if name in lost else gain
         parts = {e: own_gap(fitted, (e,)) for e in effects} if len(effects) > 1 else {name: gap}
         # Without a gain no size is compared, and a drifting zero has no constant size.
         unsteady = 1.0
@@ -216,7 +221,7 @@ def decision_inputs(search: Search) -> DecisionInputs:
         float(moved @ moved), search.nominal.evidence - recalibrated.evidence,
         search.left_by_best.ratio, search.left_by_best.outlier, search.beyond.gain,
         max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations),
-        search.curve)
+        max(search.curve, lost.get("residual_strain", 0.0)))
 
 
 def effect_fits(search: Search) -> dict[str, Fit]:

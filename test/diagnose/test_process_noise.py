@@ -1,12 +1,14 @@
 """A smooth input finds the stage of an unknown disturbance, and when it acts."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from planted import ALL, planted_record, true_bench
 
 from sma_bench.diagnose.left_over import missed, process_noise, sensor_curve
+from sma_bench.diagnose.sizes import decision_inputs
 from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit
@@ -66,3 +68,19 @@ def test_a_reading_that_follows_the_drive_or_is_nonlinear_is_of_the_sensor_stage
         assert wrong is follows or sensor_curve(fitted) > 100.0
     fitted, inputs = found_in(record)
     assert all(one.gain < 3.0 for one in inputs.values()) and sensor_curve(fitted) < 3.0
+
+
+def test_strain_that_is_lost_at_the_first_pull_is_a_rival_and_no_residual_strain(tmp_path):
+    """As where crimps straighten; what remains after cooling has the other sign."""
+    problem = Problem.of([observe(planted_record(tmp_path / "bag", bench=BENCH), BENCH, 0.2)])
+    plain = unknowns_of(BENCH, (), shapes={})
+    before = fit(problem, plain, np.zeros(0), rounds=1)
+    gains = SimpleNamespace(gain=0.0, ratio=0.0, outlier=0.0)
+    for share in (-0.5, 0.5):
+        ended = fit(problem, plain.with_effects(["residual_strain"]), np.array([share]), rounds=0)
+        found = decision_inputs(SimpleNamespace(
+            recalibrated=before, nominal=before, pairs={}, problem=problem, curve=7.0,
+            singles={"residual_strain": replace(ended, evidence=before.evidence + 50.0)},
+            left_by_best=gains, beyond=gains, inputs_by_best={"sensor": gains}))
+        gain = found.candidates["residual_strain"].gain
+        assert (gain, found.curve) == ((0.0, 50.0) if share < 0.0 else (pytest.approx(50.0), 7.0))
