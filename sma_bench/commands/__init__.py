@@ -4,7 +4,7 @@ COMMANDS = {
     "example": "copy the files of a documentation page, or a rig's parameters, to a new folder",
     "try": "a first look: from logger tables, instrument files or bags to one page of results",
     "info": "show the contents of a record, and findings about its quality",
-    "import": "convert tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
+    "import": "convert tables of other loggers (CSV, Excel, MATLAB, ...) or bags of other benches",
     "identify": "identify the parameters of Table I from bags and instrument files",
     "diagnose": "locate the gap between simulation and bench, its cause, and how far it shrinks",
     "investigate": "repeat experiment and diagnosis until the cause of the gap is found",

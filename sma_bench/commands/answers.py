@@ -167,13 +167,14 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
     records, tables = [], []
     for file in args.files:
         try:
-            open_records(file, None, stated)
+            if not all(getattr(one, "signals", True) for one in open_records(file, None, stated)):
+                raise InputError(f"{file}: a bag of another bench")
             records.append(file)
         except InputError:  # perhaps a logger's table; if not, import reports what is wrong
             tables.append(file)
     for files in [tables] if args.together and tables else [[table] for table in tables]:
         bag = out / Path(files[0]).stem
-        own = {"files": files, "out": str(bag), "json": None}
+        own = {"files": files, "out": str(bag), "json": None, "namespace": None}
         import_tables(SimpleNamespace(**(vars(args) | own)))
         is_one = (bag / "metadata.yaml").is_file()
         records += map(str, [bag] if is_one else sorted(bag.iterdir()))

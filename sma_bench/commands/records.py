@@ -38,7 +38,8 @@ def run_info(args: SimpleNamespace) -> int:
         say(description["account"])
     if found[0]["kind"] == "bag" and not found[0]["signals"] + found[0]["markers"]:
         raise InputError(f"{args.record}: holds no topic of a bench, expected those of "
-                         "docs/topics.md, e.g. <channel>/power, joint_states")
+                         "docs/topics.md, e.g. <channel>/power, joint_states; sma-bench import "
+                         "reads topics of another bench")
     return 0
 
 
@@ -53,17 +54,26 @@ def import_tables(args: SimpleNamespace) -> int:
     from sma_bench.parameters.parameters import load_kind
     from sma_bench.parameters.yaml_file import write_text_atomically
     from sma_bench.records import import_map as maps
+    from sma_bench.records.bag_tables import read_bag_tables
     from sma_bench.records.bag_writer import write_record
     from sma_bench.records.check import check_record
+    from sma_bench.records.clocks import started
+    from sma_bench.records.storage import is_bag
     from sma_bench.records.tables import read_table_file
 
     given = maps.read_map(args.map_file) if args.map_file else None
     bench = read_parameters(args.params) if args.params else Parameters.defaults()
     units = dict(options.pair("--unit", text, "COLUMN=UNIT") for text in args.units)
     # A bag and a map for each file or sheet; maps lie next to the folder: `week/*` is bags only.
-    out, tables = Path(args.out), [read_table_file(file) for file in args.files]
+    out, tables = Path(args.out), [
+        read_bag_tables(Path(file), args.namespace) if is_bag(Path(file)) else read_table_file(file)
+        for file in args.files]
     runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in maps.runs_of(t)]
     runs = [(args.files[0], "", maps.together(tables))] if args.together else runs
+    starts = dict(options.pair("--start", text, "CLOCK=WHEN") for text in args.starts)
+    for _, _, table in runs:
+        maps.require_columns(table, starts)
+    runs = [(file, sheet, started(table, starts)) for file, sheet, table in runs]
     stems = [re.sub(r"[^\w.-]+", "_", f"{Path(file).stem} {sheet}".strip()).strip(".") or "run"
              for file, sheet, _ in runs]  # fmt: skip
     if twice := next((stem for stem in stems if stems.count(stem) > 1), ""):

@@ -2,10 +2,10 @@
 
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,15 @@ _MARKER_BYTES, _MOST_MARKERS = 400, 100_000  # memory of a marker and its object
 _PLAIN = {contract.BATTERY_STATE: "voltage current", contract.TEMPERATURE: "temperature variance",
           contract.RANGE: "range min_range max_range"}
 _COLUMNS = {kind: [(name, name, "") for name in names.split()] for kind, names in _PLAIN.items()}
+Fields = tuple[tuple[str, Any], ...]
+ColumnValues = Iterable[tuple[str, NDArray[Any]]]  # names and values of messages, (n,) or (n, k)
 _COLUMNS[contract.JOINT_STATE] = [(signal, source, joint)
                                   for joint, fields in contract.JOINT_SIGNALS.items()
                                   for signal, source in fields.items()]
 
 
 @dataclass
-class _Samples:
+class Samples:
     """Decoded messages of one topic."""
 
     topic: str
@@ -45,7 +47,17 @@ class _Samples:
     # (n,) or (n, k) by name, NaN where not measured; strings for a String topic
     columns: dict[str, NDArray[np.generic]] = field(default_factory=dict)
 
-    def keep(self, rows: Mask | IntArray) -> None:
+    def take_stamps(self, batch: "Batch") -> Mask:
+        """Take the stamps of a batch; which of its messages have a valid one."""
+        seconds, nanoseconds = (batch.columns[n][:, 0].astype(np.int64) for n in STAMP)
+        self.stamp[batch.rows] = seconds * 10**9 + nanoseconds
+        return np.asarray((nanoseconds < 10**9) & (seconds >= 0))
+
+    def keep(self, rows: Mask | IntArray, why: str = "", bag: RawTopics | None = None) -> None:
+        """Keep some messages; a mask and `why` add a remark to the bag if some are dropped."""
+        if bag and (dropped := int(np.count_nonzero(~rows))):
+            text = f"{dropped} of {len(rows)} messages {why}"
+            bag.remark(self.topic, text, messages=dropped)
         self.stamp, self.received = self.stamp[rows], self.received[rows]
         self.columns = {name: values[rows] for name, values in self.columns.items()}
 
@@ -62,14 +74,14 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     counts = {(t.name, t.type): t.count for t in found if inside(t.name, namespace)}
     chosen, remarks = contract.choose_topics(str(path), counts)
     bag.findings += remarks
-    decoded: dict[str, _Samples] = {}
+    decoded: dict[str, Samples] = {}
     for meaning, name in chosen.items():
         for raw in (raw for raw in found if raw.name == name and raw.wanted):
             try:
                 decoded[meaning] = _decode(raw, bag)
             except OverBudget as error:
                 bag.remark(name, f"{error}; this topic is left out")
-    _put_on_one_clock([s for s in decoded.values() if len(s.stamp)], bag)
+    put_on_one_clock(list(decoded.values()), bag)
     decoded = {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
@@ -94,72 +106,77 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
             listed[raw.name] = Topic(raw.type, raw.count, tuple(made.get(raw.name, ())))
     if not signals and not markers:
         names = ", ".join(listed) or "no topics"
-        bag.remark("record", f"no signal of the bench contract; the bag has {names}", "error")
+        bag.remark("record", f"no signal of the bench contract; the bag has {names}; sma-bench "
+                   "import makes a record of topics of another bench", "error")
     return Record(path, start, signals, markers, listed, tuple(bag.findings))
 
 
-def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
-    budget, is_stamped = bag.budget, raw.type not in contract.HEADERLESS
-    decompress_messages(raw, budget)
-    received, lengths = (np.array(v, dtype=np.int64) for v in (raw.times, raw.lengths))
-    n, samples = len(received), _Samples(raw.name, raw.type, received.copy(), received, is_stamped)
-    batches = list(decode(raw.data, lengths, raw.type, budget))
-    columns, twice = samples.columns, Counter[str]()
-    if raw.type == contract.STRING:
-        budget.take(_MARKER_BYTES * n)
-        columns["data"] = np.full(n, "", dtype=object)
-    elif raw.type == contract.MULTI_ARRAY:  # rows of the most common length but 0
-        sizes = [(b.columns["data"].size > 0, b.columns["data"].shape) for b in batches]
-        width = max(sizes, default=(False, (0, 0)))[1][1] or 1
-        budget.take(8 * n * width)
-        columns["data"] = np.full((n, width), np.nan)
-    valid = np.zeros(n, dtype=bool)
-    for batch in batches:
-        valid[batch.rows], found = True, batch.columns
-        if is_stamped:
-            stamp = (found[f"stamp.{part}"][:, 0] for part in ("sec", "nanosec"))
-            seconds, nanoseconds = (part.astype(np.int64) for part in stamp)
-            samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
-            valid[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
+def _decode(raw: RawTopic, bag: RawTopics) -> Samples:
+    """The messages of a topic of the contract."""
+    twice, n = Counter[str](), raw.count
+
+    def columns_of(batch: Batch) -> ColumnValues:
+        found, joints = batch.columns, batch.texts.get("name", ("",))
         if raw.type == contract.STRING:
-            columns["data"][batch.rows] = batch.texts["data"][0]
-        elif raw.type == contract.MULTI_ARRAY and found["data"].shape[1] == width:
-            columns["data"][batch.rows] = found["data"]
-        joints = batch.texts.get("name", ("",))  # their order may differ between messages
+            yield "data", np.full(len(batch.rows), batch.texts["data"][0], dtype=object)
+        elif raw.type == contract.MULTI_ARRAY and found["data"].size:
+            yield "data", found["data"]
         twice.update({joint: len(batch.rows) for joint in joints if joints.count(joint) > 1})
         for name, source, joint in _COLUMNS.get(raw.type, ()):
-            place = joints.index(joint) if joint in joints else -1
-            if place >= 0 and name not in columns:
-                budget.take(8 * n)
-                columns[name] = np.full(n, np.nan)
-            if 0 <= place < found[source].shape[1]:
-                with np.errstate(invalid="ignore"):  # signalling NaNs
-                    columns[name][batch.rows] = found[source][:, place]
+            if joint in joints:  # their order may differ between messages
+                place = joints.index(joint)
+                wide = np.pad(found[source], ((0, 0), (0, place + 1)), constant_values=np.nan)
+                yield name, wide[:, place]
+
+    samples = samples_of(raw, bag, FIELDS[raw.type], columns_of)
     for joint in contract.JOINT_SIGNALS:
         if count := twice[joint]:
             text = f"{count} of {n} messages name joint {joint} twice; the first one is used"
             bag.remark(raw.name, text, messages=count)
-
-    def keep(rows: Mask, what: str) -> None:
-        if dropped := int(np.count_nonzero(~rows)):
-            bag.remark(raw.name, f"{dropped} of {len(rows)} messages {what}", messages=dropped)
-            samples.keep(rows)
-
-    keep(valid, "cannot be decoded and are left out")
     if raw.type == contract.MULTI_ARRAY:
-        unusable = np.count_nonzero(~np.isfinite(samples.columns["data"]), axis=1)
-        keep(unusable == 0, "have the wrong length, NaN or Inf; left out")
-    unset = (samples.stamp == 0) & (samples.received > _DAY_NS)
-    if is_stamped and len(unset) and unset.all():
-        text = "header.stamp is never set; the receive time is used instead"
-        bag.remark(raw.name, text, messages=len(unset))
-        samples.stamp, samples.is_stamped = samples.received.copy(), False
-    elif is_stamped and unset.any() and np.median(samples.stamp) > _DAY_NS:
-        keep(~unset, "have no header.stamp and are left out")
+        values = samples.columns.setdefault("data", np.full((len(samples.stamp), 1), np.nan))
+        unusable = np.count_nonzero(~np.isfinite(values), axis=1)
+        samples.keep(unusable == 0, "have the wrong length, NaN or Inf; left out", bag)
     return samples
 
 
-def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
+def samples_of(raw: RawTopic, bag: RawTopics, fields: Fields,
+               columns_of: Callable[["Batch"], ColumnValues]) -> Samples:
+    """The messages of a topic, decoded into columns. Raises OverBudget."""
+    decompress_messages(raw, bag.budget)
+    received, lengths = (np.array(v, dtype=np.int64) for v in (raw.times, raw.lengths))
+    n, is_stamped = len(received), STAMP[0] in dict(fields)
+    samples = Samples(raw.name, raw.type, received.copy(), received, is_stamped)
+    columns, valid = samples.columns, np.zeros(n, dtype=bool)
+    # The most common length but 0 of an array decides the width of its column.
+    batches = decode(raw.data, lengths, fields, bag.budget, raw.is_packed)
+    for batch in sorted(batches, key=lambda b: len(b.rows), reverse=True):
+        valid[batch.rows] = samples.take_stamps(batch) if is_stamped else True
+        for name, values in columns_of(batch):
+            if name not in columns:
+                is_text = values.dtype == object
+                bag.budget.take(n * (_MARKER_BYTES if is_text else 8 * values[0].size))
+                columns[name] = np.full((n, *values.shape[1:]), "" if is_text else np.nan,
+                                        dtype=object if is_text else None)
+            if values.shape[1:] == columns[name].shape[1:]:
+                with np.errstate(invalid="ignore"):  # signalling NaNs
+                    columns[name][batch.rows] = values
+    samples.keep(valid, "cannot be decoded and are left out", bag)
+    return samples
+
+
+def put_on_one_clock(decoded: list[Samples], bag: RawTopics) -> None:
+    """Receive times instead of stamps that are not set, and topics without stamps on the clock of
+    the others; sorted, without repeated stamps and those of another day."""
+    for samples in decoded:
+        unset = samples.is_stamped & (samples.stamp == 0) & (samples.received > _DAY_NS)
+        if len(unset) and unset.all():
+            text = "header.stamp is never set; the receive time is used instead"
+            bag.remark(samples.topic, text, messages=len(unset))
+            samples.stamp, samples.is_stamped = samples.received.copy(), False
+        elif unset.any() and np.median(samples.stamp) > _DAY_NS:
+            samples.keep(~unset, "have no header.stamp and are left out", bag)
+    decoded = [samples for samples in decoded if len(samples.stamp)]
     stamped = [s for s in decoded if s.is_stamped]
     reference = max(stamped, key=lambda s: len(s.stamp), default=None)
     offset = float(np.median(reference.received - reference.stamp)) if reference else 0.0
@@ -208,7 +225,7 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
         bag.remark("record", text + "during recording?) and are left out", messages=lost)
 
 
-def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> list[Signal]:
+def _signals(meaning: str, samples: Samples, start: int, bag: RawTopics) -> list[Signal]:
     """The signals of one topic; a column that is all NaN becomes no signal but a finding."""
     place, _, kind = meaning.rpartition("/")
     columns: dict[str, Array] = dict(samples.columns)  # type: ignore[arg-type]
@@ -251,18 +268,20 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
 # matrix of bytes. The first row is parsed; rows with the same counts and texts (guards) as it have
 # the same layout, so that their numbers are columns of the matrix.
 
-_Field = tuple[str, str]
-_HEADER: tuple[_Field, ...] = (("stamp.sec", "i4"), ("stamp.nanosec", "u4"), ("frame_id", "string"))
+STAMP = "header.stamp.sec", "header.stamp.nanosec"
+_HEADER: Fields = ((STAMP[0], "i4"), (STAMP[1], "u4"), ("header.frame_id", "string"))
 # Fields in order, up to the last one used. "x[]" is a sequence; "text" is a string that is read,
-# "string" one that is skipped; "dim[]" is std_msgs/MultiArrayDimension[].
-FIELDS: dict[str, tuple[_Field, ...]] = {
+# "string" one that is skipped; a tuple is the fields of each element of a sequence of messages.
+_DIMENSION: Fields = ("label", "string"), ("size", "u4"), ("stride", "u4")
+FIELDS: dict[str, Fields] = {
     contract.TEMPERATURE: (*_HEADER, ("temperature", "f8"), ("variance", "f8")),
     contract.BATTERY_STATE: (*_HEADER, ("voltage", "f4"), ("temperature", "f4"), ("current", "f4")),
     contract.RANGE: (*_HEADER, ("radiation_type", "u1"), ("field_of_view", "f4"),
                      ("min_range", "f4"), ("max_range", "f4"), ("range", "f4")),
     contract.JOINT_STATE: (*_HEADER, ("name", "text[]"), ("position", "f8[]"),
                            ("velocity", "f8[]"), ("effort", "f8[]")),
-    contract.MULTI_ARRAY: (("layout.dim", "dim[]"), ("layout.data_offset", "u4"), ("data", "f8[]")),
+    contract.MULTI_ARRAY: (("layout.dim", _DIMENSION), ("layout.data_offset", "u4"),
+                           ("data", "f8[]")),
     contract.STRING: (("data", "text"),)}
 _ENCAPSULATION = 4
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
@@ -291,17 +310,18 @@ class Batch(NamedTuple):
     texts: dict[str, tuple[str, ...]]
 
 
-def _find_layout(blob: bytes, msgtype: str) -> _Layout:
+def _find_layout(blob: bytes, fields: Fields, is_packed: bool) -> _Layout:
     """Parse one message. Raises CdrError: the bytes do not follow the type."""
-    order = _BYTE_ORDERS.get(blob[:2])
+    order = "<" if is_packed else _BYTE_ORDERS.get(blob[:2])
     if order is None or len(blob) < _ENCAPSULATION:
         raise CdrError("not plain CDR")
-    layout, position = _Layout({}, {}, [(0, blob[:2])]), _ENCAPSULATION
+    position = 0 if is_packed else _ENCAPSULATION
+    layout = _Layout({}, {}, [] if is_packed else [(0, blob[:2])])
 
     def step(size: int, count: int = 1) -> int:
         """Skip `count` elements of `size` bytes; the offset of the first."""
         nonlocal position
-        if count:  # an empty sequence has no padding behind its count
+        if count and not is_packed:  # an empty sequence has no padding behind its count
             position += -(position - _ENCAPSULATION) % size
         start, position = position, position + size * count
         if position > len(blob):
@@ -316,28 +336,34 @@ def _find_layout(blob: bytes, msgtype: str) -> _Layout:
             raise CdrError(f"{count} elements, expected at most {most}")
         return int(count)
 
-    for name, kind in FIELDS[msgtype]:
-        many, kind = kind.endswith("[]"), kind.removesuffix("[]")
-        if kind in ("string", "text", "dim"):
-            found = []
-            for _ in range(guarded_count(_MOST_TEXTS) if many else 1):
-                start = step(1, guarded_count(_LONGEST_TEXT))
-                if kind == "text":
-                    content = blob[start:position]
-                    layout.guards.append((start, content))
-                    found.append(content.rstrip(b"\0").decode(errors="replace"))
-                elif kind == "dim":
-                    step(4, 2)
-            layout.texts[name] = tuple(found)
-        else:
-            count = guarded_count(_MOST_NUMBERS) if many else 1
-            layout.columns[name] = (step(int(kind[1]), count), order + kind, count)
+    def parse(fields: Fields, place: str) -> None:
+        for name, kind in ((place + name, kind) for name, kind in fields):
+            if isinstance(kind, tuple):
+                for k in range(guarded_count(_MOST_TEXTS)):
+                    parse(kind, f"{name}.{k}.")
+                continue
+            many, kind = kind.endswith("[]"), kind.removesuffix("[]")
+            if kind in ("string", "text"):
+                found = []
+                for _ in range(guarded_count(_MOST_TEXTS) if many else 1):
+                    start = step(1, guarded_count(_LONGEST_TEXT))
+                    if kind == "text":
+                        content = blob[start:position]
+                        layout.guards.append((start, content))
+                        found.append(content.rstrip(b"\0").decode(errors="replace"))
+                layout.texts[name] = tuple(found)
+            else:
+                count = guarded_count(_MOST_NUMBERS) if many else 1
+                layout.columns[name] = (step(int(kind[1]), count), order + kind, count)
+
+    parse(fields, "")
     return layout
 
 
-def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
-           budget: Budget) -> Iterator[Batch]:
-    """Batches of messages, of lengths (n,) bytes, that can be decoded. Raises OverBudget."""
+def decode(data: bytes | bytearray, lengths: IntArray, fields: Fields, budget: Budget,
+           is_packed: bool = False) -> Iterator[Batch]:
+    """Batches of messages, of lengths (n,) bytes, that can be decoded; `is_packed`: as ROS 1 packs
+    them. Raises OverBudget."""
     ends = np.cumsum(lengths)
     for length in np.unique(lengths[lengths >= _ENCAPSULATION]).tolist():
         rows = np.flatnonzero(lengths == length)
@@ -350,7 +376,7 @@ def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
             budget.check()
             layouts += 1
             try:
-                layout = _find_layout(matrix[remaining[0]].tobytes(), msgtype)
+                layout = _find_layout(matrix[remaining[0]].tobytes(), fields, is_packed)
             except CdrError:
                 remaining = remaining[1:]
                 continue
@@ -370,7 +396,7 @@ def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
 
 def encode(template: bytes, msgtype: str, columns: dict[str, Array]) -> list[bytes]:
     """Copies of the message `template` with other numbers, (n,) or (n, elements) by field."""
-    layout, n = _find_layout(template, msgtype), len(next(iter(columns.values())))
+    layout, n = _find_layout(template, FIELDS[msgtype], False), len(next(iter(columns.values())))
     matrix = np.tile(np.frombuffer(template, dtype=np.uint8), (n, 1))
     for name, values in columns.items():
         offset, kind, count = layout.columns[name]

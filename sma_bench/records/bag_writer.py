@@ -21,7 +21,7 @@ from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.records import contract
-from sma_bench.records.bag import encode
+from sma_bench.records.bag import STAMP, encode
 from sma_bench.records.record import SIGNALS, Record, Signal
 from sma_bench.records.storage import METADATA, PROVENANCE
 
@@ -278,7 +278,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         rest = {"name": joints, **dict.fromkeys(merged, np.zeros(len(joints)))}
     template = _serialised(msgtype, header=message("std_msgs/msg/Header", frame_id=frame), **rest)
     seconds, nanoseconds = np.divmod(union, 10**9)
-    numbers: dict[str, Any] = {"stamp.sec": seconds, "stamp.nanosec": nanoseconds, **merged}
+    numbers: dict[str, Any] = {**dict(zip(STAMP, (seconds, nanoseconds), strict=True)), **merged}
     return topic, msgtype, received, encode(template, msgtype, numbers)
 
 

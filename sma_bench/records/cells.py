@@ -158,7 +158,7 @@ def meanings(title: str, unit: str) -> tuple[str, ...]:
         return ("strain",)
     if fitting := tuple(m for m in meant if fits(m, known.quantity)):
         return fitting
-    is_open = not meant or len(title) == 1 or meant[0] in ("ambient", "supply")
+    is_open = not meant or len(title) == 1 or meant[0] in ("ambient", "supply", "counter")
     return tuple(q for q, row in QUANTITIES.items()
                  if is_open and row.get("by_unit") and fits(q, known.quantity))
 
@@ -341,6 +341,7 @@ def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
 _DAY = 86_400.0  # s
 _LONGEST_PAUSE = 14.0  # days, of a run: a longer one means that day and month are swapped
+_ELAPSED = 3600.0  # s after midnight, before which no bench runs
 _SHORT_DAYS = 2e-5  # days: a step that would be 20 us if the dates were seconds
 _EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
 
@@ -394,8 +395,8 @@ def moment_of(cell: Any) -> Moment | None:
 def moments_of(cells: Sequence[Any],
                dates: Sequence[Any] | None = None) -> tuple[Array, float | None, int, str] | None:
     """Times of cells: seconds (n,) since the first one, NaN where missing; the epoch of the first
-    if they or `dates`, a second column, have dates; the fewest `Moment.fields`; a remark. None if
-    a cell is neither date nor time."""
+    if they or `dates`, a second column, have dates, or s after midnight of a time of day; the
+    fewest `Moment.fields`; a remark. None if a cell is neither date nor time."""
     if dates is None and PATTERNS.iso.match(str(cells[0])):
         with contextlib.suppress(ValueError):  # a cell in another form
             stamps = np.array(cells, dtype="datetime64[ns]")
@@ -425,7 +426,29 @@ def moments_of(cells: Sequence[Any],
         total += _DAY * np.cumsum(np.diff(total, prepend=total[0]) < -0.5 * _DAY)
     seconds = np.full(len(cells), np.nan)
     seconds[there] = total - total[0]
-    return seconds, float(total[0]) if is_absolute else None, min(m.fields for m in found), remark
+    fields = min(m.fields for m in found)
+    is_of_day = fields == 3 and total[0] >= _ELAPSED  # 10:04:05; 0:04:05 was counted from a start
+    return seconds, float(total[0]) if is_absolute or is_of_day else None, fields, remark
+
+
+def stated_start(above: Sequence[tuple[str, ...]]) -> tuple[float, str]:
+    """Epoch (s) of the start that lines above a table state, and that line; 0 if there is none."""
+    parts: dict[str, tuple[Moment, str]] = {}
+    for line in map(" ".join, above):
+        parted = [*re.split(r"[:=\t]| (?=\d)", line, maxsplit=1), ""]
+        key, value = (text.strip(" #,;") for text in parted[:2])
+        if not (moment := moment_of(value)):
+            continue
+        title, day = plain_title(key).strip(), np.nan_to_num(moment.days[0])
+        if day and moment.seconds is not None and title.startswith(tuple(WORDS["begins"])):
+            return day * _DAY + moment.seconds, line
+        for what in ("begin_day", "begin_time"):
+            if title in WORDS[what]:
+                parts[what] = moment, line
+    if len(parts) < 2 or not (day := np.nan_to_num(parts["begin_day"][0].days[0])):
+        return 0.0, ""
+    (_, one), (time, two) = parts["begin_day"], parts["begin_time"]
+    return day * _DAY + (time.seconds or 0.0), f"{one}, {two}"
 
 
 def serial_dates(title: str, values: Array) -> tuple[Array, float] | None:

@@ -88,7 +88,7 @@ def choose_topics(where: str,
             continue
         if other is not None and count and counts[other, msgtype]:
             both = " and ".join(sorted((other, topic)))
-            how = "expected one; choose by namespace"
+            how = "expected one; choose by namespace, or by sma-bench import"
             raise InputError(f"{where}: both {both} could be {place.meaning}, {how}")
         if other is None or count:
             chosen[place.meaning] = topic
@@ -98,7 +98,8 @@ def choose_topics(where: str,
     for topic, msgtype, place in (p for p in places if p[1] != p[2].type):
         if place.meaning not in chosen and (not own or place.namespace in own):
             wanted = f"{place.type} for {place.meaning}"
-            raise InputError(f"{where}: topic {topic} has type {msgtype}, expected {wanted}")
+            raise InputError(f"{where}: topic {topic} has type {msgtype}, expected {wanted}; "
+                             "sma-bench import reads it all the same")
         text = f"type {msgtype}, the contract has {place.type}; not taken for a topic of the bench"
         findings.append(Finding("info", topic, text))
     return chosen, findings

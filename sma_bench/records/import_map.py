@@ -19,7 +19,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.records import cells, contract
+from sma_bench.records import cells, clocks, contract
 from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, Unit, message, parse_unit
 from sma_bench.records.instrument_files import Sheet
 from sma_bench.records.record import Record, Signal, ohms_of_source
@@ -140,7 +140,7 @@ class _Samples(NamedTuple):
 def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list[str]]:
     """The record (with that path) from a table by its map, and a sentence on each signal. Raises
     InputError: a column is missing or empty, a clock goes back or stops, a duty is beyond 1."""
-    read, base = _read(table, made)
+    read, base, notes = _read(table, made)
     first = min(float(samples.time[0]) for samples in read.values())
     # For a switched supply the direct voltage of the same heat, supply * sqrt(duty), then currents.
     supply = made.supply_voltage or 1.0
@@ -186,8 +186,8 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
         unit, time = contract.unit_of(entry.signal) or "", samples.time - first
         signals[entry.signal] = Signal(entry.signal, unit, time, samples.values - zero)
         sentences.append(sentence + samples.how)
-    start_ns = round((base + first) * 1e9) if base or 1e9 < first < 2**31 else 0  # s since 1970
-    return Record(path, start_ns, signals), sentences
+    start_ns = round((base + first) * 1e9) if base > clocks.DAY else 0
+    return Record(path, start_ns, signals), [*sentences, *notes]
 
 
 def require_columns(table: TableFile, names: Iterable[str]) -> None:
@@ -197,21 +197,19 @@ def require_columns(table: TableFile, names: Iterable[str]) -> None:
         raise InputError(f"{table.path}: no column {wrong!r}, it has {', '.join(held[:12])}")
 
 
-def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], float]:
-    """Samples of each entry, sign applied, and the epoch (s) of time 0; 0 if there are no dates."""
+def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], float, list[str]]:
+    """Samples of each entry, sign applied; epoch (s) of time 0; assumptions."""
     require_columns(table, [*made.time, *(entry.column for entry in made.signals)])
     columns = {column.name: column for column in table.columns}
-    starts = {name: columns[name].start for name in made.time if name in columns}  # of dates
-    base = min((start for start in starts.values() if start is not None), default=0.0)
-    read = {}
+    ticks = {name: made.tick(name) or 1.0 for name in made.time}
+    (times, base, notes), read = clocks.on_one_clock(table, ticks), dict[Entry, _Samples]()
     for entry in (entry for entry in made.signals if entry.clock != ASK):
         raw, where = columns[entry.column].values, f"{table.path}: {entry.column}"
-        clock, start = columns.get(entry.clock), starts.get(entry.clock)
-        ticks = clock.values if clock else np.arange(float(len(raw)))
-        if len(ticks) != len(raw):
-            raise InputError(f"{where}: {len(raw)} rows, its clock has {len(ticks)}")
-        timed = np.isfinite(ticks)
-        time = (made.tick(entry.clock) or 1.0) * ticks[timed]
+        time = times.get(entry.clock, np.arange(float(len(raw))) * ticks[entry.clock])
+        if len(time) != len(raw):
+            raise InputError(f"{where}: {len(raw)} rows, its clock has {len(time)}")
+        timed = np.isfinite(time)
+        time = time[timed]
         values = entry.measured.si(entry.scale * raw[timed]) + entry.offset
         kept = np.isfinite(values)
         if not kept.any():
@@ -225,11 +223,11 @@ def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], flo
             is_full = kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0)
             rows = np.ones_like(kept) if is_full else kept
             time[rows], spread = cells.spread_stamps(time[rows], where)
-        time = time[kept] + (0.0 if start is None else start - base)
+        time = time[kept]
         lever = made.lever if entry.measured.quantity == "angle" else None
         values = values[kept] * float(entry.sign) * (lever if isinstance(lever, float) else 1.0)
         read[entry] = _Samples(time, values, spread)
-    return read, base
+    return read, base, notes
 
 
 def _at_rest(read: Mapping[Entry, _Samples], samples: _Samples) -> Array:
@@ -274,6 +272,14 @@ def propose(table: TableFile, bench: Parameters,
     require_columns(table, stated)
     columns = [replace(c, unit=stated[c.name], fields=0) if stated.get(c.name) else c
                for c in table.columns]
+    # Titles that are or end in units: left_A next to left_V; ms, if there is no other clock.
+    named = {c.title for c in columns}
+    timed = {c.table for c in columns if c.fields or "time" in cells.meanings(c.title, c.unit)}
+    for k, c in enumerate(columns):
+        unit = parse_unit(c.title)
+        is_clock = unit is not None and unit.quantity == "time" and c.table not in timed
+        if not c.unit and (is_clock or (c.title[-1:] == "A" and f"{c.title[:-1]}V" in named)):
+            columns[k] = replace(c, unit=c.title if is_clock else "A")
     proposal = _Proposal(bench)
     ask, remarks = proposal.ask, proposal.remarks
     proposal.of_wire = {m for c in columns if {*cells.words_of(c.title)} & {*WORDS["wire"]}
@@ -287,18 +293,30 @@ def propose(table: TableFile, bench: Parameters,
     for name in [name for name, meaning in meant.items() if meaning in unused]:
         meaning, meant[name] = meant[name], ""
         remarks[name] = message("is_length" if meaning == "strain" else "not_driving", drive=drive)
-    clocks = [column for column in columns if meant[column.name] == "time"]
+    timers = [column for column in columns if meant[column.name] == "time"]
     entries: dict[str, Entry] = {}
     for column in columns:
         name, meaning = column.name, meant[column.name]
         if meaning and meaning != "time":
-            entry = proposal.entry(column, meaning, proposal.clock_of(column, clocks, columns))
+            entry = proposal.entry(column, meaning, proposal.clock_of(column, timers, columns))
             other = entries.setdefault(entry.signal + name * (ASK in entry.signal), entry)
             if other is not entry:
                 ask(name, "which_one", other=other.column, signal=entry.signal)
-    found = tuple(entries.values())
-    kinds, ticking = {entry.kind for entry in found}, {entry.clock for entry in found}
-    time = {c.name: proposal.unit(c, "time") for c in clocks if c.name in ticking}
+                entries[name] = msgspec.structs.replace(entry, signal=ASK)
+    # What is missing. A clamped wire needs no motion, but temperature, or voltage and current.
+    found, kinds = tuple(entries.values()), {entry.kind for entry in entries.values()}
+    unknown = [c for c in columns if remarks.get(c.name) == _UNKNOWN]
+    rest = ", ".join(repr(c.name) for c in unknown[:8]) or "no others"
+    asked = len(proposal.questions)
+    if not kinds & _MOVES and (unknown or not ("temperature" in kinds or kinds >= _DRIVES)):
+        ask("signals", "no_position", rest=rest)
+    if not kinds & _DRIVES and not kinds >= {"elongation", "force"}:
+        ask("signals", "no_drive", rest=rest)
+    if len(proposal.questions) > asked:  # one of the unknown columns may be it
+        found += tuple(Entry(ASK, c.name, c.unit or ASK, proposal.clock_of(c, timers, columns))
+                       for c in unknown)
+    ticking = {entry.clock for entry in found}
+    time = {c.name: proposal.unit(c, "time") for c in timers if c.name in ticking}
     if ROWS in ticking:
         titles = [f"{name} ({why})" for t in table.tables for name, why in t.ignored.items()]
         titles += [column.name for column in columns]
@@ -308,8 +326,6 @@ def propose(table: TableFile, bench: Parameters,
         time[ROWS] = (f"{periods.pop():.9g} s" if len(periods) == 1 and is_each else
                       ask(ROWS, "no_clock", titles=", ".join(titles[:12])))
         remarks.setdefault(ROWS, f"period of the rows as stated above the titles: {time[ROWS]}")
-    if len({c.start is None for c in clocks if c.name in ticking}) > 1:
-        ask("time", "dates")
     supply, lever, volts = None, None, "bench.supply_voltage"
     ohms = ohms_of_source(bench) if any(entry.form == "power" for entry in found) else None
     if any(entry.kind == "voltage" and entry.form not in _DIRECT for entry in found):
@@ -322,15 +338,8 @@ def propose(table: TableFile, bench: Parameters,
     for count, line in (Sheet(table, t, {}).wires() for t in table.tables):
         if count not in (1, bench["wire.count"]):
             remarks["wire.count"] = message("other_count", line=line, count=bench["wire.count"])
-    # What is missing. A clamped wire needs no motion, but temperature, or voltage and current.
     taken = {*time, *(entry.column for entry in found)}
     ignored = tuple(column.name for column in columns if column.name not in taken)
-    unknown = [name for name in ignored if remarks.get(name) == _UNKNOWN]
-    rest = ", ".join(map(repr, unknown[:8])) or "no others"
-    if not kinds & _MOVES and (unknown or not ("temperature" in kinds or kinds >= _DRIVES)):
-        ask("signals", "no_position", rest=rest)
-    if not kinds & _DRIVES and not kinds >= {"elongation", "force"}:
-        ask("signals", "no_drive", rest=rest)
     # Signs do not depend on the answers to the questions so far.
     made = ImportMap(time, found, supply, ohms, lever, ignored)
     read: dict[Entry, _Samples] = {}

@@ -31,7 +31,7 @@ else:  # a dependency of rosbags
 METADATA = "metadata.yaml"
 PROVENANCE = "sma_bench_provenance"  # a key of its custom_data
 _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_ZSTD_MAGIC, _ROS1_MAGIC = b"\x28\xb5\x2f\xfd", b"#ROSBAG V2.0"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
 _LONGEST_NAME, _LONGEST_PROVENANCE = 255, 2000  # characters
@@ -50,6 +50,8 @@ class RawTopic:
     times: "array[int]" = field(default_factory=lambda: array("q"))  # of each message, ns
     lengths: "array[int]" = field(default_factory=lambda: array("q"))  # bytes
     data: bytearray = field(default_factory=bytearray)
+    definition: str = ""  # of its type, if the bag has it
+    is_packed: bool = False  # encoded by ROS 1
 
     def add(self, time: int, data: bytes) -> None:
         self.count += 1
@@ -67,8 +69,9 @@ class RawTopics:
     topics: dict[tuple[str, str], RawTopic] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
     budget: Budget = field(default_factory=lambda: border.reading_budget(0))
+    is_foreign: bool = False  # True: messages of ROS 1 are wanted, too
 
-    def topic(self, name: str, msgtype: str, encoding: str) -> RawTopic:
+    def topic(self, name: str, msgtype: str, encoding: str, definition: str = "") -> RawTopic:
         """The topic with this name and type, created if it is new."""
         parts = msgtype.split("/")  # old bags have sensor_msgs/Temperature
         key = printable(name), printable("/msg/".join(parts) if len(parts) == 2 else msgtype)
@@ -76,11 +79,12 @@ class RawTopics:
             if len(self.topics) >= _MOST_TOPICS:
                 raise OverBudget(f"more than {_MOST_TOPICS} topics")
             wanted = self.wanted(*key)
-            if wanted and encoding != "cdr":
+            is_packed = encoding == "ros1" and self.is_foreign
+            if wanted and encoding != "cdr" and not is_packed:
                 text = f"messages are encoded as {encoding[:40]!r}, expected 'cdr'; not decoded"
                 self.remark(key[0], text, "error")
                 wanted = False
-            self.topics[key] = RawTopic(*key, wanted)
+            self.topics[key] = RawTopic(*key, wanted, definition=definition, is_packed=is_packed)
         return self.topics[key]
 
     def remark(self, of: str, text: str, severity: Severity = "warning", **numbers: float) -> None:
@@ -93,7 +97,7 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return True
     with errors_in(f"{path}: cannot be read"):
-        known = _head(path).startswith((_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC))
+        known = _head(path).startswith((_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC, _ROS1_MAGIC))
     return known or path.name.endswith(_SUFFIXES)
 
 
@@ -102,10 +106,12 @@ def _head(path: Path) -> bytes:
         return file.read(100)
 
 
-def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
+def read_storage(path: Path, wanted: Callable[[str, str], bool],
+                 is_foreign: bool = False) -> RawTopics:
     """Messages, from a bag's folder or file, whose topic and type are `wanted`; findings say what
-    could not be read. Raises InputError: no bag, no message, or a damaged sqlite3 file."""
-    topics = RawTopics(wanted)
+    could not be read. `is_foreign`: messages of ROS 1, too. Raises InputError: no bag, no message,
+    or a damaged sqlite3 file."""
+    topics = RawTopics(wanted, is_foreign=is_foreign)
     files, announced = _files_of(path, topics)
     topics.budget = border.reading_budget(sum(file.stat().st_size for file in files))
     for file in files:
@@ -121,6 +127,8 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
                 is_mcap = head.startswith(_MCAP_MAGIC)
                 if head.startswith(_SQLITE_MAGIC) or (plain.suffix == ".db3" and not is_mcap):
                     _read_sqlite(plain, topics, file)
+                elif head.startswith(_ROS1_MAGIC):
+                    _read_ros1(plain, topics)
                 else:
                     _read_mcap(plain, topics, file.name)
         except OverBudget as error:
@@ -240,7 +248,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
     if not (size := path.stat().st_size):
         topics.remark(name, "the file is empty")
         return
-    schemas = {0: ""}  # 0: a channel without a schema
+    schemas = {0: ("", "")}  # name and definition; 0: a channel without a schema
     channels: dict[int, RawTopic] = {}
     reached, orphans, ended, damage = len(_MCAP_MAGIC), 0, False, ""
 
@@ -294,7 +302,10 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                 take(data, 0, stop - len(data))
             elif opcode == _SCHEMA:
                 (number,) = struct.unpack_from("<H", buffer[start:stop])
-                schemas.setdefault(number, _string(buffer[start:stop], 2)[0])
+                content = buffer[start:stop]
+                name_of, after = _string(content, 2)
+                definition, _ = _string(content, _string(content, after)[1])
+                schemas.setdefault(number, (name_of, definition))
             elif opcode == _CHANNEL:
                 content = buffer[start:stop]
                 number, schema = struct.unpack_from("<HH", content)
@@ -302,10 +313,11 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                 if schema not in schemas:
                     raise _Damage(f"the topic {printable(called)} has an unknown type")
                 if number not in channels:
-                    kind = schemas[schema]  # "" is no damage, but no ROS topic either
+                    kind, definition = schemas[schema]  # "" is no damage, but no ROS topic either
                     channels[number] = RawTopic(called, "", False)
                     if kind:
-                        channels[number] = topics.topic(called, kind, _string(content, after)[0])
+                        channels[number] = topics.topic(called, kind, _string(content, after)[0],
+                                                         definition)
             elif opcode == _DATA_END and inside is None:
                 if length != 4:  # bytes of a checksum
                     raise _Damage("the bytes are no mcap record")
@@ -366,6 +378,8 @@ _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
 _MESSAGES = ("SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) AND "
              "typeof(data) = 'blob' AND typeof(timestamp) = 'integer' AND timestamp >= 0 "
              "ORDER BY rowid")
+_DEFINITIONS = ("SELECT topic_type, encoded_message_definition FROM message_definitions WHERE "
+                "typeof(encoded_message_definition) = 'text'")
 _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP BY topic_id"
 
 
@@ -398,9 +412,13 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
                     raise sqlite3.DatabaseError(f"{name} is not a table")
                 if any(c[6] for c in query(f"PRAGMA main.table_xinfo({name})").fetchall()):
                     raise sqlite3.DatabaseError(f"{name} has computed columns")
-            found = {number: topics.topic(*(text.decode(errors="replace") for text in texts))
-                     for number, *texts in query(_TOPICS) if isinstance(number, int)
-                     and all(isinstance(text, bytes) for text in texts)}
+            defined = {}
+            if topics.is_foreign and kinds.get("message_definitions") == b"table":
+                defined = dict(query(_DEFINITIONS).fetchmany(_MOST_TOPICS))
+            found = {number: topics.topic(*(text.decode(errors="replace") for text in (
+                         name, kind, form, defined.get(kind, b""))))
+                     for number, name, kind, form in query(_TOPICS) if isinstance(number, int)
+                     and all(isinstance(text, bytes) for text in (name, kind, form))}
             wanted = [number for number, topic in found.items() if topic.wanted]
             others = [number for number in found if number not in wanted]
 
@@ -422,6 +440,23 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
         reason = printable(" ".join(str(error).split()))
         how = f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
         raise InputError(f"{origin}: damaged: {reason}; to save what is left: {how}") from None
+
+
+def _read_ros1(path: Path, topics: RawTopics) -> None:
+    """Add the messages of a ROS 1 bag. InputError: it is damaged, or has no index."""
+    from rosbags.rosbag1 import Reader
+    try:
+        with Reader(path) as bag:
+            found = {c.id: topics.topic(c.topic, c.msgtype, "ros1", c.msgdef.data)
+                     for c in bag.connections}
+            for connection, time, data in bag.messages():
+                topics.budget.take(len(data))
+                found[connection.id].add(time, data)
+    except OverBudget:
+        raise
+    except Exception as error:  # of the reader's many types
+        why = printable(str(error))[:200]
+        raise InputError(f"{path}: not a readable ROS 1 bag: {why}") from None
 
 
 def _decompress_file(source: Path, target: Path, budget: Budget) -> str:

@@ -29,7 +29,7 @@ from sma_bench.records.shapes import Row, named_values, reshaped, split, stamped
 MOST_COLUMNS, LONGEST_NAME = 1000, 120
 _FEWEST = 3  # rows; fewer next to a larger table are notes
 _SHORT = 0.05  # of the rows; if more lack their last cells, these are empty, not lost
-_CELL_SAMPLE, _ROW_SAMPLE = 1000, 400  # to find the kind of a column, to find the separator
+_CELL_SAMPLE, _ROW_SAMPLE = 1000, 300  # to find the kind of a column, to find the separator
 _END_OF_HEADER = "***End_of_Header***"
 _RULE = "-/|:=,"  # characters between titles
 LARGEST_FILE = 200 * MEGABYTE
@@ -106,7 +106,7 @@ class TableFile:
 
     path: Path
     format: str
-    sha256: str
+    sha256: str  # of several files joined, with blanks between
     tables: tuple[Table, ...]
     outside: tuple[str, ...] = ()
 
@@ -118,6 +118,11 @@ class TableFile:
     def notes(self) -> tuple[str, ...]:
         """What was assumed or left out while reading."""
         return tuple(note for t in self.tables for note in (*t.notes, *t.left_out))
+
+    @property
+    def is_joined(self) -> bool:
+        """True if it was several files."""
+        return " " in self.sha256
 
     def with_tables(self, tables: Sequence[Table], outside: Sequence[str]) -> "TableFile":
         """The same file with other tables; their columns get unique names and the table's index."""
@@ -169,7 +174,8 @@ def _read(content: bytes) -> TableFile:
         # The separator that gives the most rows of numbers; None stands for blanks.
         lines = decoded_lines(content, WORDS["encodings"], read.known_letters)
         stamps, lines = stamped(lines)
-        sample = [line for line in lines if line.strip()][:_ROW_SAMPLE]
+        filled = [line for line in lines if line.strip()]  # the last ones, too: below long notes
+        sample = filled[:_ROW_SAMPLE] + filled[_ROW_SAMPLE:][-_ROW_SAMPLE:]
         parted = {s: [cells for _, cells in split(sample, s)] for s in ("\t", *";|,", None)}
         counts = {s: sum(map(read.is_number_row, rows)) for s, rows in parted.items()}
         rows = [] if 2 * max(counts.values()) > len(sample) else named_values(lines)
@@ -489,6 +495,13 @@ class _Block:
                  for t, u in zip(titles, units, strict=True)]
         lines = np.array([line for line, _ in body], dtype=np.int64)
         made, ignored, notes = _columns(columns, titles, units, name, lines)
+        begun, said = read.stated_start(list(map(self.note, above)))
+        for k, column in enumerate(made if begun else ()):
+            is_clock = column.start is None and "time" in read.meanings(column.title, column.unit)
+            if is_clock and abs(column.values[0]) < 1.0:
+                made[k] = replace(column, start=begun)
+                day = datetime.fromtimestamp(begun, UTC).replace(tzinfo=None).isoformat(" ")
+                notes.append(message("begun", clock=column.name, day=day, line=said))
         if any(titles) and not titles[0] and self.begins_with_index():
             made = [column for column in made if column.name != "column 1"]
             ignored = {"column 1": "row number", **ignored}

@@ -99,7 +99,7 @@ def test_a_path_without_anything_readable_gives_one_line(tmp_path, mcap, write_b
 
 def decoded(blobs, kind):
     lengths = np.array([len(blob) for blob in blobs], dtype=np.int64)
-    return list(bag.decode(b"".join(blobs), lengths, kind, reading_budget(0)))
+    return list(bag.decode(b"".join(blobs), lengths, bag.FIELDS[kind], reading_budget(0)))
 
 
 @settings(max_examples=100, deadline=None)

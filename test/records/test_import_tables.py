@@ -72,6 +72,23 @@ def write_parquet(folder):
     return folder / "f.parquet"
 
 
+@pytest.mark.parametrize(("files", "begins", "said", "start"),
+                         [(*case, None)[:4] for case in CASES["joined"]])
+def test_files_of_one_run_are_put_on_one_clock(tmp_path, capsys, files, begins, said, start):
+    (tmp_path / "rig.yaml").write_text(RIG.replace("drive: duty, supply_voltage: 12.0", ""))
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    words = ["import", *(str(tmp_path / name) for name in files), "--together", "--params",
+             str(tmp_path / "rig.yaml"), "--out", str(tmp_path / "bag")]
+    status = main(words)
+    shown = capsys.readouterr()
+    assert said in " ".join((shown.out + shown.err).split())
+    if start:
+        status = main([*words, "--start", start, "--force"])
+    assert status == 0
+    assert [s.time[0] for s in load(tmp_path / "bag").signals.values()] == pytest.approx(begins)
+
+
 WRITERS = [write_csv, write_mat, write_hdf5, write_parquet]
 
 

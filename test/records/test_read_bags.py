@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from examination.check.bags import HABITS, LOSS, RAISED, REFUSED, RIGHT, WRONG, outcome
 from examination.check.bags import write_bag as write_drawn
+from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records import Signal, read_record
+from sma_bench.records.bag_tables import read_bag_tables
 from sma_bench.records.bag_writer import write_record
 
 PLAIN = {kind: habits[0] for kind, habits in HABITS.items()}
@@ -131,3 +135,71 @@ def test_a_variance_becomes_the_std_of_readings_and_0_is_unknown(tmp_path, write
                    for t, v in enumerate(variances, messages.start)]
         signal = read_record(write_bag(tmp_path / f"{k}", content))["wire.temperature"]
         assert (None if signal.std is None else signal.std.tolist()) == std
+
+
+THEIRS = "lab_msgs/msg/Wires"
+DEFINED = {THEIRS: "std_msgs/Header header\nChannel[] channels\nfloat64 position_mm\nstring mode",
+           "lab_msgs/msg/Channel": "string name\nfloat32 voltage_V\nuint8[2] flags"}
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3", "ROS 1"])
+def test_their_own_message_types_are_imported_as_the_bag_defines_them(tmp_path, capsys, storage):
+    """Voltages of two channels in a sequence of messages, and a position in mm."""
+    is_old = storage == "ROS 1"
+    types = get_typestore(Stores.ROS1_NOETIC if is_old else Stores.ROS2_JAZZY)
+    for name, text in reversed(DEFINED.items()):
+        types.register(get_types_from_msg(text, name))
+    made, old = types.types, {"seq": 7} if is_old else {}
+    path = tmp_path / ("their.bag" if is_old else "their")
+    writer = rosbag1.Writer(path) if is_old else rosbag2.Writer(
+        path, version=9, storage_plugin=rosbag2.StoragePlugin[storage])
+    with writer:
+        connection = writer.add_connection("/rig/wires", THEIRS, typestore=types)
+        for k in range(60):
+            stamp = made["builtin_interfaces/msg/Time"](sec=1_700_000_000 + k, nanosec=0)
+            header = made["std_msgs/msg/Header"](stamp=stamp, frame_id="ab"[: k % 3], **old)
+            channels = [made["lab_msgs/msg/Channel"](name, volts, np.zeros(2, np.uint8))
+                        for name, volts in (("left", 0.1 * (k > 9)), ("right", 0.2 * (k > 9)))]
+            given = made[THEIRS](header, channels, 40.0 - 0.1 * max(k - 9, 0), "auto")
+            pack = types.serialize_ros1 if is_old else types.serialize_cdr
+            writer.write(connection, (1_700_000_100 + k) * 10**9, bytes(pack(given, THEIRS)))
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("/**: {ros__parameters: {bench: {channels: [left, right], channel_sides: [front,"
+                   " front]}, load: {kind: force, force: 1.0}, wire: {length: 0.2}}}")
+    words = [str(path), "--params", str(rig), "--out", str(tmp_path / "bag")]
+    assert main(["import", *words]) == 0
+    record = read_record(tmp_path / "bag")
+    assert record.start_ns == 1_700_000_000 * 10**9 and record.duration == 59.0
+    tops = {name: s.values[-1] - s.values[0] for name, s in record.signals.items()}
+    assert tops == pytest.approx(
+        {"left.voltage": 0.1, "right.voltage": 0.2, "elongation": -0.005}, rel=1e-6)
+    assert main(["info", str(path)]) == 2
+    assert "sma-bench import" in capsys.readouterr().err
+
+
+def test_numbers_of_standard_messages_have_names_and_units(tmp_path, messages, write_bag):
+    """By the type, the names of joints and the labels of an array; images are left out."""
+    ros, start = messages.ros, messages.start
+    labels = [ros("std_msgs/msg/MultiArrayDimension", label=text) for text in ("U [V]", "T [C]")]
+    layout = ros("std_msgs/msg/MultiArrayLayout", dim=labels)
+    arrays = {"position": np.array([0.01]), "effort": np.array([5.0])}
+    sent = {
+        "/psu": (messages.power(start, 2.0, 0.5),
+                 {"/psu/voltage": ("V", 2), "/psu/current": ("A", 0.5)}),
+        "/slide": (messages.stamped("JointState", start, name=["cart"], **arrays),
+                   {"/slide/cart/position": ("m", 0.01), "/slide/cart/effort": ("N", 5)}),
+        "/daq": (ros("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array([3.0, 25.0])),
+                 {"/daq/U [V]": ("V", 3), "/daq/T [C]": ("C", 25)}),
+        "/pair": (ros("std_msgs/msg/Float64MultiArray", data=np.array([3.0, 25.0])),
+                  {"/pair/1": ("", 3), "/pair/2": ("", 25)}),
+        "/x_mm": (ros("std_msgs/msg/Float32", data=7.0), {"/x_mm": ("mm", 7)}),
+        "/cell": (ros("geometry_msgs/msg/Wrench", force=ros("geometry_msgs/msg/Vector3", z=4.0)),
+                  {f"/cell/force.{c}": ("N", 4 * (c == "z")) for c in "xyz"}),
+        "/camera": (messages.stamped("Image", start, data=np.zeros(1, np.uint8)), {}),
+        "/lab/note": (messages.text("hello"), {})}
+    content = [(topic, given, start + k * 10**9) for k in range(3)
+               for topic, (given, _) in sent.items()]
+    file = read_bag_tables(write_bag(tmp_path / "bag", content))
+    found = {c.name: (c.unit, c.values[-1]) for c in file.columns if not c.name.endswith(" stamp")}
+    assert found == {name: pair for _, named in sent.values() for name, pair in named.items()}
+    assert [line.split()[0] for line in file.outside] == ["/camera", "/lab/note"]

@@ -34,7 +34,7 @@ def test_a_plain_table_is_read_right_and_a_lost_row_is_noticed(tmp_path, number)
         assert outcome(truth, sample)[0] == WRONG
 
 
-READERS = "cells tables import_map instrument_files instruments open"
+READERS = "cells clocks tables bag_tables import_map instrument_files instruments open"
 # Functions that take the key of a sentence, and the index of that argument.
 KEY_OF = {"message": 0, "cells.message": 0, "sheet.refusal": 0, "self.refusal": 0, "ask": 1}
 KEY_OF |= {"self.ask": 1, "sheet.remark": 2, "self.remark": 2}
