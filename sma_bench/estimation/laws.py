@@ -104,11 +104,12 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
             unknowns = replace(unknowns, items=(*unknowns.items, *more),
                                baseline=unknowns.baseline + len(more))
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
-            if air != usual:  # also from the fit with the usual convection, for the unknowns it has
-                one, begin = fits[law, usual][0][0], unknowns.start().tolist()
-                ended = dict(zip(unknowns.names, begin, strict=True))
-                ended |= dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
-                tries.append(np.array([ended[name] for name in unknowns.names]))
+            # With another convection also from the fits of this law, or with this convection.
+            for (other, with_air), (found, _) in fits.items() if air != usual else ():
+                if law == other or air == with_air:
+                    begin = dict(zip(unknowns.names, unknowns.start().tolist(), strict=True))
+                    begin |= zip(found[0].unknowns.names, found[0].x.tolist(), strict=True)
+                    tries.append(np.array([begin[name] for name in unknowns.names]))
             fits[law, air] = solver.fit_imperfect(problem, own, unknowns, tries, share)
         except (FitError, InputError) as error:  # or the law contradicts stated parameters
             faults.append(InputError(str(error)))
